@@ -2,8 +2,8 @@
 // partial sums over its particles.
 //
 // A_ij = p_i . d2L/da2 p_j (exact second derivatives of the terms in `shaders/terms`), b_i = p_i . g and |p_i|^2.
-// With the change d_i of an edge e along direction i and its unit vector u, an edge adds
-//   2 c ((u . d_i)(u . d_j) / |e| + (1 - 1 / |e|) d_i . d_j)
+// With the change d_i of an edge e along direction i and its unit vector u, an edge of damping t adds
+//   2 c (r (u . d_i)(u . d_j) / |e| + (1 + t - r / |e|) d_i . d_j),  r = 1 + t |e0|
 // and an angle t between two edges what `add_angle` says. With K = 0 there is the energy alone.
 //
 // Each particle owns the edges, corner angles and bends that start at it, as in `energy`. `a` and the
@@ -34,7 +34,7 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
-@group(0) @binding(2) var<storage, read> marks: array<u32>;
+@group(0) @binding(2) var<storage, read> marks: array<vec2u>;
 @group(0) @binding(3) var<storage, read> a: array<f32>;
 @group(0) @binding(4) var<storage, read> base: array<f32>;
 @group(0) @binding(5) var<storage, read> x: array<f32>;
@@ -47,8 +47,8 @@ override K: u32 = 0;
 
 const RIGHT_ANGLE: f32 = 1.5707963267948966;
 
-// Starts and shifts of the particles of a tile, with a rim of two particles on the far sides, 1 after the shift if the cloth
-// has such a particle, and the components of all directions there: component c of direction i is element i.
+// Starts and shifts of the particles of a tile, with a rim of two particles on the far sides, after the shift the factor of the
+// stiffness there, 0 if the cloth has no such particle, and the components of all directions there: component c of direction i is element i.
 const WITH_RIM: u32 = 10u;
 var<workgroup> starts: array<vec3f, WITH_RIM * WITH_RIM>;
 var<workgroup> shifts: array<vec4f, WITH_RIM * WITH_RIM>;
@@ -68,7 +68,7 @@ fn load_tile(b: u32, i: u32, j: u32, lane: u32) {
             let at = b * 3u * n + p;
             starts[k] = vec3f(x[at], x[at + n], x[at + 2u * n]);
             let shift = vec3f(base[at] + a[at], base[at + n] + a[at + n], base[at + 2u * n] + a[at + 2u * n]);
-            shifts[k] = vec4f(shift, select(1.0, 0.0, is_outside(marks[b * n + p])));
+            shifts[k] = vec4f(shift, stiffness_of(marks[b * n + p]));
             if K > 0u {
                 along_x[k] = of_directions(at);
                 along_y[k] = of_directions(at + n);
@@ -86,6 +86,8 @@ struct Edge {
     z: vec4f,
     // 1 / |e|, or 0 if the edge has no length.
     inverse: f32,
+    // The mean of the factors of the stiffness at its ends.
+    stiffness: f32,
 }
 
 // Whether the cloth has a particle at this place of the tile.
@@ -98,8 +100,9 @@ fn edge(start: u32, end: u32) -> Edge {
     let e = offset(starts[end], starts[start], shifts[end].xyz, shifts[start].xyz, params.zero);
     let l = length(e);
     let inverse = select(0.0, 1.0 / max(l, SHORTEST), l > SHORTEST);
+    let stiffness = 0.5 * (shifts[start].w + shifts[end].w);
     if K == 0u {
-        return Edge(e, vec4f(), vec4f(), vec4f(), inverse);
+        return Edge(e, vec4f(), vec4f(), vec4f(), inverse, stiffness);
     }
     return Edge(
         e,
@@ -107,6 +110,7 @@ fn edge(start: u32, end: u32) -> Edge {
         along_y[end] - along_y[start],
         along_z[end] - along_z[start],
         inverse,
+        stiffness,
     );
 }
 
@@ -115,22 +119,30 @@ fn change(v: vec3f, one: Edge) -> vec4f {
     return v.x * one.x + v.y * one.y + v.z * one.z;
 }
 
-// Adds the second derivatives of c (|e| - 1)^2 and returns the energy over c.
-fn add_stretch(one: Edge, c: f32) -> f32 {
+// Returns the length at the start of the frame of the edge between two places, if there is damping.
+fn before(start: u32, end: u32, damping: f32) -> f32 {
+    if damping > 0.0 {
+        return length(starts[end] - starts[start]);
+    }
+    return 1.0;
+}
+
+// Adds the second derivatives of the stretch of an edge with the coefficient c, and returns the energy.
+fn add_stretch(one: Edge, each: f32, damping: f32, before: f32) -> f32 {
     let off = stretch_of(one.e);
+    let c = each * one.stiffness;
     if K > 0u && one.inverse > 0.0 {
-        let second = c * stretch_curvature(one.inverse);
+        let second = c * stretch_curvature(one.inverse, damping, before);
         let along = change(one.e, one) * one.inverse;
         add_products(second.y * along, along);
         add_products(second.x * one.x, one.x);
         add_products(second.x * one.y, one.y);
         add_products(second.x * one.z, one.z);
     }
-    return off * off;
+    return c * (off * off + damping_of(off, damping, before));
 }
 
-// Adds the second derivatives of c (t - rest)^2, where t is the angle between two edges, and returns the
-// energy over c.
+// Adds the second derivatives of c (t - rest)^2, where t is the angle between two edges, and returns the energy.
 //
 // With the unit vectors u and w of the edges, the unit normal n of their plane, m_u across u towards w, m_w
 // across w towards u, and the changes alpha_i and beta_i of the edges over their lengths, t changes by
@@ -162,7 +174,7 @@ fn add_angle(first: Edge, second: Edge, rest: f32, c: f32) -> f32 {
         add_products(bent * normal_u, shape.cosine * normal_u - normal_w);
         add_products(bent * normal_w, shape.cosine * normal_w - normal_u);
     }
-    return shape.off * shape.off;
+    return c * shape.off * shape.off;
 }
 
 // Six sums of each invocation, then of each group of eight invocations.
@@ -184,10 +196,11 @@ fn curvature(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) 
     let columns = f32(params.columns);
     let count = rows * columns;
     let material = cloths[b].material;
-    let vertical = material.x / ((rows - 1.0) * columns);
-    let horizontal = material.x / (rows * (columns - 1.0));
+    let weave = cloths[b].weave;
+    let vertical = weave.x / ((rows - 1.0) * columns);
+    let horizontal = weave.y / (rows * (columns - 1.0));
     let shear = material.y / count;
-    let bend = material.z / count;
+    let damping = material.z;
     let tiles_across = (params.columns + 7u) / 8u;
     let tiles = tiles_across * ((params.rows + 7u) / 8u);
     curvature0 = vec4f();
@@ -211,16 +224,18 @@ fn curvature(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) 
             let right = own + 1u;
             if has(own) && has(below) {
                 let down = edge(own, below);
-                elastic.x += vertical * add_stretch(down, vertical);
+                elastic.x += add_stretch(down, vertical, damping, before(own, below, damping));
                 if has(below + WITH_RIM) {
-                    elastic.z += bend * add_angle(down, edge(below, below + WITH_RIM), 0.0, bend);
+                    let bend = shifts[below].w * weave.z / count;
+                    elastic.z += add_angle(down, edge(below, below + WITH_RIM), 0.0, bend);
                 }
             }
             if has(own) && has(right) {
                 let across = edge(own, right);
-                elastic.x += horizontal * add_stretch(across, horizontal);
+                elastic.x += add_stretch(across, horizontal, damping, before(own, right, damping));
                 if has(right + 1u) {
-                    elastic.z += bend * add_angle(across, edge(right, right + 1u), 0.0, bend);
+                    let bend = shifts[right].w * weave.w / count;
+                    elastic.z += add_angle(across, edge(right, right + 1u), 0.0, bend);
                 }
             }
             // Edges need not point away from their corner: reversing one or both leaves the square of its angle
@@ -229,8 +244,9 @@ fn curvature(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) 
                 let v = own + corner % 2u;
                 let h = own + corner / 2u * WITH_RIM;
                 if has(v) && has(v + WITH_RIM) && has(h) && has(h + 1u) {
-                    elastic.y +=
-                        shear * add_angle(edge(v, v + WITH_RIM), edge(h, h + 1u), RIGHT_ANGLE, shear);
+                    // Where both edges meet.
+                    let c = shear * shifts[own + corner % 2u + corner / 2u * WITH_RIM].w;
+                    elastic.y += add_angle(edge(v, v + WITH_RIM), edge(h, h + 1u), RIGHT_ANGLE, c);
                 }
             }
             let p = i * params.columns + j;

@@ -25,7 +25,7 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
-@group(0) @binding(2) var<storage, read> marks: array<u32>;
+@group(0) @binding(2) var<storage, read> marks: array<vec2u>;
 @group(0) @binding(3) var<storage, read> a: array<f32>;
 @group(0) @binding(4) var<storage, read> base: array<f32>;
 @group(0) @binding(5) var<storage, read> x: array<f32>;
@@ -36,10 +36,28 @@ const RIGHT_ANGLE: f32 = 1.5707963267948966;
 var<workgroup> terms: array<vec4f, 64>; // stretch, shear, bend, inertia
 var<workgroup> others: array<vec4f, 64>; // external, largest stretch, sum of |stretch|, unused
 
-// Whether the cloth has a particle (i, j).
-fn has(b: u32, i: u32, j: u32) -> bool {
+// Returns the factor of the stiffness at particle (i, j), 0 if the cloth has none.
+fn stiffness(b: u32, i: u32, j: u32) -> f32 {
+    if i >= params.rows || j >= params.columns {
+        return 0.0;
+    }
+    return stiffness_of(marks[b * params.rows * params.columns + i * params.columns + j]);
+}
+
+// Returns the stretch of an edge, given its length less 1, its vector at the start of the frame, and the stiffness at its ends.
+fn edge_energy(off: f32, before: vec3f, damping: f32, ends: vec2f) -> f32 {
+    var energy = off * off;
+    if damping > 0.0 {
+        energy += damping_of(off, damping, length(before));
+    }
+    return 0.5 * (ends.x + ends.y) * energy;
+}
+
+// Returns the start of particle (i, j).
+fn start(b: u32, i: u32, j: u32) -> vec3f {
     let n = params.rows * params.columns;
-    return i < params.rows && j < params.columns && !is_outside(marks[b * n + i * params.columns + j]);
+    let at = b * 3u * n + i * params.columns + j;
+    return vec3f(x[at], x[at + n], x[at + 2u * n]);
 }
 
 // Returns the position of particle (i, j) relative to `own`.
@@ -48,12 +66,12 @@ fn position(b: u32, i: u32, j: u32, own: Trial) -> vec3f {
     return offset(other.x, own.x, other.shift, own.shift, params.zero);
 }
 
-// Returns the energy of a corner angle over its coefficient; zero if it does not exist.
-fn corner_energy(u: vec3f, w: vec3f, exists: bool) -> f32 {
+// Returns the energy of a corner angle at a particle of this stiffness over its coefficient; zero if it does not exist.
+fn corner_energy(u: vec3f, w: vec3f, exists: bool, stiffness: f32) -> f32 {
     if !exists {
         return 0.0;
     }
-    return squared_angle(u, w, RIGHT_ANGLE);
+    return stiffness * squared_angle(u, w, RIGHT_ANGLE);
 }
 
 @compute @workgroup_size(64)
@@ -73,12 +91,14 @@ fn energy(
         let j = p % params.columns;
         let rows = f32(params.rows);
         let columns = f32(params.columns);
-        let has_own = has(b, i, j);
-        let below = has(b, i + 1u, j);
-        let right = has(b, i, j + 1u);
-        let opposite = has(b, i + 1u, j + 1u);
-        let has_down = has_own && below;
-        let has_across = has_own && right;
+        let here = stiffness(b, i, j);
+        let below = stiffness(b, i + 1u, j);
+        let right = stiffness(b, i, j + 1u);
+        let opposite = stiffness(b, i + 1u, j + 1u);
+        let has_down = here > 0.0 && below > 0.0;
+        let has_across = here > 0.0 && right > 0.0;
+        let material = cloths[b].material;
+        let weave = cloths[b].weave;
         let at = b * 3u * n + p;
         let own = trial(b, p, n);
         // Of the cell behind it, as far as the grid goes.
@@ -88,35 +108,38 @@ fn energy(
         let across = position(b, i, min(j + 1u, last_column), own);
         if has_down {
             let off = stretch_of(down);
-            term.x += off * off / ((rows - 1.0) * columns);
+            let energy = edge_energy(off, start(b, i + 1u, j) - own.x, material.z, vec2f(here, below));
+            term.x += weave.x * energy / ((rows - 1.0) * columns);
             other.y = max(other.y, off);
             other.z += abs(off);
-            if has(b, i + 2u, j) {
-                term.z += squared_angle(down, position(b, i + 2u, j, own) - down, 0.0);
+            if stiffness(b, i + 2u, j) > 0.0 {
+                term.z += weave.z * below * squared_angle(down, position(b, i + 2u, j, own) - down, 0.0);
             }
         }
         if has_across {
             let off = stretch_of(across);
-            term.x += off * off / (rows * (columns - 1.0));
+            let energy = edge_energy(off, start(b, i, j + 1u) - own.x, material.z, vec2f(here, right));
+            term.x += weave.y * energy / (rows * (columns - 1.0));
             other.y = max(other.y, off);
             other.z += abs(off);
-            if has(b, i, j + 2u) {
-                term.z += squared_angle(across, position(b, i, j + 2u, own) - across, 0.0);
+            if stiffness(b, i, j + 2u) > 0.0 {
+                term.z += weave.w * right * squared_angle(across, position(b, i, j + 2u, own) - across, 0.0);
             }
         }
         let corner = position(b, min(i + 1u, last_row), min(j + 1u, last_column), own);
         let far_v = corner - across;
         let far_h = corner - down;
-        let has_far_v = right && opposite;
-        let has_far_h = below && opposite;
-        term.y += corner_energy(down, across, has_down && has_across) + corner_energy(down, far_h, has_down && has_far_h)
-            + corner_energy(far_v, across, has_far_v && has_across) + corner_energy(far_v, far_h, has_far_v && has_far_h);
+        let has_far_v = right > 0.0 && opposite > 0.0;
+        let has_far_h = below > 0.0 && opposite > 0.0;
+        term.y += corner_energy(down, across, has_down && has_across, here)
+            + corner_energy(down, far_h, has_down && has_far_h, below)
+            + corner_energy(far_v, across, has_far_v && has_across, right)
+            + corner_energy(far_v, far_h, has_far_v && has_far_h, opposite);
         let acceleration = vec3f(a[at], a[at + n], a[at + 2u * n]);
         let given = params.first_external + at;
         let f = vec3f(base[given], base[given + n], base[given + 2u * n]);
         let count = rows * columns;
-        let material = cloths[b].material;
-        term *= vec4f(material.x, material.y / count, material.z / count, 0.0);
+        term *= vec4f(1.0, material.y / count, 1.0 / count, 0.0);
         let alone = particle_energies(acceleration, f, mass_of(marks[b * n + p]) / count);
         term.w = alone.x;
         other.x = alone.y;

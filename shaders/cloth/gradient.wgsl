@@ -31,7 +31,7 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
-@group(0) @binding(2) var<storage, read> marks: array<u32>;
+@group(0) @binding(2) var<storage, read> marks: array<vec2u>;
 @group(0) @binding(3) var<storage, read> a: array<f32>;
 @group(0) @binding(4) var<storage, read> base: array<f32>;
 @group(0) @binding(5) var<storage, read> x: array<f32>;
@@ -42,8 +42,8 @@ override LAST_STEP: bool = false;
 
 const RIGHT_ANGLE: f32 = 1.5707963267948966;
 
-// Starts and shifts of the particles of a tile, with a rim of two particles on every side, and 1 in the last component if
-// the cloth has such a particle.
+// Starts and shifts of the particles of a tile, with a rim of two particles on every side, and in the last component the factor
+// of the stiffness there, 0 if the cloth has no such particle.
 const WITH_RIM: u32 = 12u;
 var<workgroup> starts: array<vec3f, WITH_RIM * WITH_RIM>;
 var<workgroup> shifts: array<vec4f, WITH_RIM * WITH_RIM>;
@@ -60,7 +60,7 @@ fn load_tile(b: u32, i: u32, j: u32, lane: u32) {
             let p = (row - 2u) * params.columns + column - 2u;
             let one = trial(b, p, n);
             starts[k] = one.x;
-            shifts[k] = vec4f(one.shift, select(1.0, 0.0, is_outside(marks[b * n + p])));
+            shifts[k] = vec4f(one.shift, stiffness_of(marks[b * n + p]));
         }
     }
 }
@@ -68,24 +68,38 @@ fn load_tile(b: u32, i: u32, j: u32, lane: u32) {
 // Another particle relative to that of this lane, p; undefined unless the cloth has it.
 struct Other {
     at: vec3f,
+    stiffness: f32, // its factor
     exists: bool,
+}
+
+// Returns the place of the particle of this lane in the tile.
+fn own_place(lane: u32) -> u32 {
+    return (lane / 8u + 2u) * WITH_RIM + lane % 8u + 2u;
 }
 
 // Returns the particle `rows` and `columns` away.
 fn other(lane: u32, rows: i32, columns: i32) -> Other {
-    let own = (lane / 8u + 2u) * WITH_RIM + lane % 8u + 2u;
+    let own = own_place(lane);
     let place = u32(i32(own) + rows * i32(WITH_RIM) + columns);
     let shift = shifts[place];
-    return Other(offset(starts[place], starts[own], shift.xyz, shifts[own].xyz, params.zero), shift.w > 0.0);
+    let at = offset(starts[place], starts[own], shift.xyz, shifts[own].xyz, params.zero);
+    return Other(at, shift.w, shift.w > 0.0);
 }
 
-// Returns d(|edge| - 1)^2 / dp for the edge from p.
-fn stretch(end: Other) -> vec3f {
-    return select(vec3f(), -stretch_gradient(end.at), end.exists);
+// Returns the derivative of the stretch of the edge from p to the particle `rows` and `columns` away with respect to p.
+fn stretch(lane: u32, end: Other, rows: i32, columns: i32, damping: f32) -> vec3f {
+    let own = own_place(lane);
+    var before = 1.0;
+    if damping > 0.0 {
+        before = length(starts[u32(i32(own) + rows * i32(WITH_RIM) + columns)] - starts[own]);
+    }
+    let factor = 0.5 * (shifts[own].w + end.stiffness);
+    return select(vec3f(), -factor * stretch_gradient(end.at, damping, before), end.exists);
 }
 
-// Returns d/dp of the squared corner angles of a cell around which p, `down`, `across` and opposite to p `corner` lie.
-fn shear(down: Other, across: Other, corner: Other) -> vec3f {
+// Returns d/dp of the squared corner angles of a cell around which p, whose stiffness is `own`, `down`, `across` and opposite to p
+// `corner` lie.
+fn shear(own: f32, down: Other, across: Other, corner: Other) -> vec3f {
     // The edges along both axes, through p and opposite to it. All point away from p's side, which leaves
     // (angle - pi / 2)^2 unchanged.
     let far_v = corner.at - across.at;
@@ -93,31 +107,32 @@ fn shear(down: Other, across: Other, corner: Other) -> vec3f {
     var sum = vec3f();
     if down.exists && across.exists {
         let at_p = angle_gradient(down.at, across.at, RIGHT_ANGLE);
-        sum = at_p.u + at_p.w;
+        sum = own * (at_p.u + at_p.w);
     }
     if down.exists && corner.exists {
-        sum += angle_gradient(down.at, far_h, RIGHT_ANGLE).u;
+        sum += down.stiffness * angle_gradient(down.at, far_h, RIGHT_ANGLE).u;
     }
     if across.exists && corner.exists {
-        sum += angle_gradient(far_v, across.at, RIGHT_ANGLE).w;
+        sum += across.stiffness * angle_gradient(far_v, across.at, RIGHT_ANGLE).w;
     }
     return -sum;
 }
 
-// Returns d/dp of the squared bends that involve p along one axis, given the two particles before it and the two after it.
-fn bend(before: array<Other, 2>, after: array<Other, 2>) -> vec3f {
+// Returns d/dp of the squared bends that involve p, whose stiffness is `own`, along one axis, given the two particles before it and
+// the two after it.
+fn bend(own: f32, before: array<Other, 2>, after: array<Other, 2>) -> vec3f {
     var sum = vec3f();
     let back = -before[0].at;
     let ahead = after[0].at;
     if before[0].exists && before[1].exists {
-        sum += angle_gradient(before[0].at - before[1].at, back, 0.0).w;
+        sum += before[0].stiffness * angle_gradient(before[0].at - before[1].at, back, 0.0).w;
     }
     if after[0].exists && after[1].exists {
-        sum -= angle_gradient(ahead, after[1].at - ahead, 0.0).u;
+        sum -= after[0].stiffness * angle_gradient(ahead, after[1].at - ahead, 0.0).u;
     }
     if before[0].exists && after[0].exists {
         let here = angle_gradient(back, ahead, 0.0);
-        sum += here.u - here.w;
+        sum += own * (here.u - here.w);
     }
     return sum;
 }
@@ -137,21 +152,24 @@ fn gradient_at(b: u32, p: u32, lane: u32) -> vec3f {
     var sum = particle_gradient(acceleration, f, m);
     if is_free(mark) {
         let material = cloths[b].material;
+        let weave = cloths[b].weave;
+        let own = stiffness_of(mark);
+        let damping = material.z;
         let up = other(lane, -1, 0);
         let down = other(lane, 1, 0);
         let left = other(lane, 0, -1);
         let right = other(lane, 0, 1);
-        let vertical = stretch(up) + stretch(down);
-        let horizontal = stretch(left) + stretch(right);
-        sum += material.x * (vertical / ((rows - 1.0) * columns) + horizontal / (rows * (columns - 1.0)));
-        let corners = shear(up, left, other(lane, -1, -1)) + shear(up, right, other(lane, -1, 1))
-            + shear(down, left, other(lane, 1, -1)) + shear(down, right, other(lane, 1, 1));
+        let vertical = stretch(lane, up, -1, 0, damping) + stretch(lane, down, 1, 0, damping);
+        let horizontal = stretch(lane, left, 0, -1, damping) + stretch(lane, right, 0, 1, damping);
+        sum += weave.x * vertical / ((rows - 1.0) * columns) + weave.y * horizontal / (rows * (columns - 1.0));
+        let corners = shear(own, up, left, other(lane, -1, -1)) + shear(own, up, right, other(lane, -1, 1))
+            + shear(own, down, left, other(lane, 1, -1)) + shear(own, down, right, other(lane, 1, 1));
         let above = array(up, other(lane, -2, 0));
         let below = array(down, other(lane, 2, 0));
         let before = array(left, other(lane, 0, -2));
         let behind = array(right, other(lane, 0, 2));
-        let bends = bend(above, below) + bend(before, behind);
-        sum += (material.y * corners + material.z * bends) / count;
+        let bends = weave.z * bend(own, above, below) + weave.w * bend(own, before, behind);
+        sum += (material.y * corners + bends) / count;
     }
     return sum;
 }

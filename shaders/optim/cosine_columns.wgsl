@@ -5,9 +5,11 @@
 //
 // With N = H W, m = mu[k] and q = mu[H + l], fields 0 to 2 have the eigenvalue of a sheet at rest (see
 // `rest_modes`), fields 3 to 5 those of one component in the sheet's own axes:
-//   lambda_3 = w_u (m + TAU q) + (1 + 8 k_shear q + 2 k_bend q^2) / N    w_u = 2 k_stretch / ((H - 1) W)
-//   lambda_4 = w_v (q + TAU m) + (1 + 8 k_shear m + 2 k_bend m^2) / N    w_v = 2 k_stretch / (H (W - 1))
-//   lambda_5 = TAU (w_u m + w_v q) + (1 + 2 NORMAL k_stretch + 2 k_bend (m^2 + q^2)) / N
+//   lambda_3 = w_u (m + TAU q) + (1 + 8 k_shear q + 2 k_across q^2) / N
+//   lambda_4 = w_v (q + TAU m) + (1 + 8 k_shear m + 2 k_down m^2) / N
+//   lambda_5 = TAU (w_u m + w_v q) + (1 + 2 NORMAL k_stretch + 2 (k_down m^2 + k_across q^2)) / N
+// where w_u = 2 k_u (1 + t) / ((H - 1) W) and w_v = 2 k_v (1 + t) / (H (W - 1)), k_u and k_v are the coefficients of the stretch down
+// and across, k_down and k_across those of the bend, k_stretch is that of the stretch of both axes, and t its damping.
 //
 // cloths: [B]
 // table: [H, H], the orthonormal DCT-II
@@ -63,25 +65,26 @@ fn element(first: u32, row: u32, column: u32) -> f32 {
 }
 
 // Returns the eigenvalues of a field in mode k of the columns and four modes of the rows.
-fn eigenvalues(field: u32, k: u32, l: u32, material: vec4f) -> vec4f {
+fn eigenvalues(field: u32, k: u32, l: u32, material: vec4f, weave: vec4f) -> vec4f {
     let h = f32(params.rows);
     let w = f32(params.columns);
-    let by_u = 2.0 * material.x / ((h - 1.0) * w);
-    let by_v = 2.0 * material.x / (h * (w - 1.0));
+    let damped = 2.0 * (1.0 + material.z);
+    let by_u = damped * weave.x / ((h - 1.0) * w);
+    let by_v = damped * weave.y / (h * (w - 1.0));
     let m = vec4f(mu[k]);
     let at = params.rows + l;
     let last = params.rows + params.columns - 1u;
     let q = vec4f(mu[at], mu[min(at + 1u, last)], mu[min(at + 2u, last)], mu[min(at + 3u, last)]);
     var stretch = by_u * m + by_v * q;
-    var others = 1.0 + 2.0 * material.z * (m * m + q * q);
+    var others = 1.0 + 2.0 * (weave.z * m * m + weave.w * q * q);
     switch field {
         case 3u: {
             stretch = by_u * (m + TAU * q);
-            others = 1.0 + 8.0 * material.y * q + 2.0 * material.z * q * q;
+            others = 1.0 + 8.0 * material.y * q + 2.0 * weave.w * q * q;
         }
         case 4u: {
             stretch = by_v * (q + TAU * m);
-            others = 1.0 + 8.0 * material.y * m + 2.0 * material.z * m * m;
+            others = 1.0 + 8.0 * material.y * m + 2.0 * weave.z * m * m;
         }
         case 5u: {
             stretch *= TAU;
@@ -101,7 +104,7 @@ fn keep(field: u32, row: u32, column: u32, sum: vec4f) {
     }
     var v = sum;
     if !INVERSE {
-        v /= eigenvalues(field % 6u, row, column, cloths[field / 6u].material);
+        v /= eigenvalues(field % 6u, row, column, cloths[field / 6u].material, cloths[field / 6u].weave);
     }
     let at = (field * params.rows + row) * params.columns + column;
     let columns = params.columns - column;

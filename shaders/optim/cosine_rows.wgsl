@@ -19,7 +19,7 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> grad: array<f32>;
-@group(0) @binding(2) var<storage, read> marks: array<u32>;
+@group(0) @binding(2) var<storage, read> marks: array<vec2u>;
 @group(0) @binding(3) var<storage, read> axes: array<f32>;
 @group(0) @binding(4) var<storage, read> table: array<f32>;
 @group(0) @binding(5) var<storage, read_write> z: array<f32>;

@@ -37,7 +37,7 @@ struct Params {
 @group(0) @binding(2) var<storage, read> rows_max: array<f32>;
 @group(0) @binding(3) var<storage, read> weight: array<f32>;
 @group(0) @binding(4) var<storage, read> bias: array<f32>;
-@group(0) @binding(5) var<storage, read> marks: array<u32>;
+@group(0) @binding(5) var<storage, read> marks: array<vec2u>;
 @group(0) @binding(6) var<storage, read_write> scale: array<f32>;
 @group(0) @binding(7) var<storage, read_write> fields: array<f32>;
 @group(0) @binding(8) var<storage, read_write> a: array<f32>;

@@ -4,7 +4,7 @@ use super::output::{output, status};
 use super::{Ending, go_on, interrupt_flag};
 use anyhow::Result;
 use fnopt::eval::drape::{Cantilever, Drape, GRAVITY_M_S2, cantilever, drape};
-use fnopt::scene::{Fabric, fabrics};
+use fnopt::scene::{Fabric, Moduli, fabrics};
 use serde_json::{Value, json};
 use std::io::Write;
 
@@ -62,64 +62,65 @@ pub fn run(args: &Args) -> Result<Ending> {
     Ok(ending)
 }
 
-fn measure(fabric: &Fabric, args: &Args) -> Result<(Cantilever, Drape)> {
+/// What the tests found: strips along the warp and along the weft, and the disc.
+type Measured = ([Cantilever; 2], Drape);
+
+fn measure(fabric: &Fabric, args: &Args) -> Result<Measured> {
     let (moduli, mass) = (fabric.moduli, fabric.areal_mass_kg_m2);
-    let strip = cantilever(moduli, mass, STRIP)?;
+    let turned = Moduli { weave: moduli.weave.turned(), ..moduli };
+    let strips = [cantilever(moduli, mass, STRIP)?, cantilever(turned, mass, STRIP)?];
     let disc = drape(moduli, mass, args.grid as usize, args.times as usize)?;
-    if !(strip.is_still && disc.is_still) {
+    if !(strips.iter().all(|strip| strip.is_still) && disc.is_still) {
         status!(
             "{}: it did not come to rest; the numbers are those of the shape that it reached",
             fabric.name
         );
     }
-    Ok((strip, disc))
+    Ok((strips, disc))
 }
 
-fn bending_length_m(fabric: &Fabric) -> f64 {
-    fabric.moduli.bending_length_m(fabric.areal_mass_kg_m2, GRAVITY_M_S2)
+fn bending_lengths_m(fabric: &Fabric) -> [f64; 2] {
+    fabric.moduli.bending_lengths_m(fabric.areal_mass_kg_m2, GRAVITY_M_S2)
 }
 
 fn described(fabric: &Fabric) -> String {
     let Fabric { description, areal_mass_kg_m2, moduli, .. } = fabric;
+    let [warp, weft] = moduli.weave.stretch.map(|factor| factor * moduli.stretch_modulus);
+    let [bend_warp, bend_weft] = moduli.weave.bend.map(|factor| 1e6 * factor * moduli.bending_stiffness);
     format!(
-        "{:3.0} g/m^2  stretch {:4.0} N/m  shear {:5.1} N/m  bending {:4.1} uN m, {:4.1} mm  {description}",
+        "{:3.0} g/m^2  stretch {warp:4.0} x {weft:4.0} N/m  shear {:5.1} N/m  bending {bend_warp:4.1} x {bend_weft:4.1} uN m  {description}",
         1e3 * areal_mass_kg_m2,
-        moduli.stretch_modulus,
         moduli.shear_modulus,
-        1e6 * moduli.bending_stiffness,
-        1e3 * bending_length_m(fabric)
     )
 }
 
-fn compared(fabric: &Fabric, (strip, disc): &(Cantilever, Drape)) -> String {
-    let expected = bending_length_m(fabric);
+fn compared(fabric: &Fabric, (strips, disc): &Measured) -> String {
+    let [warp, weft] = bending_lengths_m(fabric).map(|length| 1e3 * length);
+    let [of_warp, of_weft] = strips.map(|strip| 1e3 * strip.bending_length_m);
     let (mean, deviation) = disc.coefficient();
     format!(
-        "bending length {:5.2} mm, measured {:5.2} mm ({:+.1} %)  drape coefficient {:4.1} % +- {:.1} %",
-        1e3 * expected,
-        1e3 * strip.bending_length_m,
-        100.0 * (strip.bending_length_m / expected - 1.0),
+        "bending length {warp:5.2} x {weft:5.2} mm, measured {of_warp:5.2} x {of_weft:5.2} mm  drape coefficient {:4.1} % +- {:.1} %",
         100.0 * mean,
         100.0 * deviation
     )
 }
 
-fn document(fabric: &Fabric, measured: Option<&(Cantilever, Drape)>) -> Value {
+fn document(fabric: &Fabric, measured: Option<&Measured>) -> Value {
     let mut document = json!({
         "name": fabric.name,
         "description": fabric.description,
         "areal_mass_kg_m2": fabric.areal_mass_kg_m2,
         "material": fabric.moduli,
-        "bending_length_m": bending_length_m(fabric),
+        "bending_lengths_m": bending_lengths_m(fabric),
         "source": fabric.source,
     });
-    if let Some((strip, disc)) = measured {
+    if let Some((strips, disc)) = measured {
         document["measured"] = json!({
-            "overhang_m": strip.overhang_m,
-            "bending_length_m": strip.bending_length_m,
+            "overhangs_m": strips.map(|strip| strip.overhang_m),
+            "bending_lengths_m": strips.map(|strip| strip.bending_length_m),
             "drape_coefficient": disc.coefficient().0,
             "drape_coefficients": disc.coefficients,
-            "at_rest": strip.is_still && disc.is_still,
+            "at_rest": strips.iter().all(|strip| strip.is_still) && disc.is_still,
         });
     }
     document

@@ -164,7 +164,7 @@ impl Args {
         let own =
             |fitted: bool, value: f64, kept: f64| (fitted || value as f32 != kept as f32).then_some(value);
         Physics {
-            stiffness: Stiffness::Grid(Material { stretch, shear, bend }),
+            stiffness: Stiffness::Grid(Material { stretch, shear, bend, ..Material::PAPER }),
             density: own(self.density.is_some(), density, kept[0]),
             drag: own(self.drag.is_some(), drag, kept[1]),
             frame_time_s: own(self.frame_time.is_some(), frame_time, kept[2]),
@@ -183,7 +183,11 @@ impl Args {
         let document = physics.to_json();
         let [stretch, shear, bend, ..] = *point;
         let moduli = |sequence: &Sequence| -> fnopt::Result<Moduli> {
-            Ok(sequence.scene(grid, &physics)?.setup()?.units.moduli(grid, Material { stretch, shear, bend }))
+            Ok(sequence
+                .scene(grid, &physics)?
+                .setup()?
+                .units
+                .moduli(grid, Material { stretch, shear, bend, ..Material::PAPER }))
         };
         let all = sequences.iter().map(moduli).collect::<fnopt::Result<Vec<_>>>()?;
         if all.iter().any(|other| *other != all[0]) {

@@ -53,5 +53,8 @@ pub fn read(text: &str) -> Result<Physics> {
         ));
     }
     let [stretch, shear, bend] = coefficients;
-    Ok(Physics { stiffness: Stiffness::Grid(Material { stretch, shear, bend }), ..Physics::default() })
+    Ok(Physics {
+        stiffness: Stiffness::Grid(Material { stretch, shear, bend, ..Material::PAPER }),
+        ..Physics::default()
+    })
 }

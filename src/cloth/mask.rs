@@ -1,8 +1,9 @@
 //! Cloths that are not a full rectangle, and what each particle of a grid is.
 
-use super::Grid;
+use super::{Cloth, Grid};
 use crate::{Error, Result};
 use bytemuck::{Pod, Zeroable};
+use half::f16;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
@@ -118,11 +119,16 @@ fn cells(grid: Grid) -> impl Iterator<Item = [usize; 4]> {
     (1..h).flat_map(move |i| (1..w).map(move |j| i * w + j)).map(move |q| [q - w - 1, q - w, q - 1, q])
 }
 
-/// What a particle is, in one word that both devices read: four times its mass, whether it is free, a handle, or no
-/// part of the cloth, and whether the cloth has the cell from it to the particle diagonally behind it.
+/// What a particle is, in two words that both devices read. The first holds the number of cells around it, whether it is free,
+/// a handle, or no part of the cloth, and whether the cloth has the cell from it to the particle diagonally behind it; the second
+/// the factors of its mass and of its stiffness ([`Map`](super::Map)).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
-#[repr(transparent)]
-pub struct Mark(u32);
+#[repr(C)]
+pub struct Mark {
+    word: u32,
+    /// In half precision, the density in the lower bits.
+    factors: u32,
+}
 
 /// How a particle moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -136,25 +142,29 @@ pub enum Role {
 }
 
 impl Mark {
-    /// The mass is in the bits from here on.
+    /// The number of cells around the particle is in the bits from here on.
     const MASS: u32 = 29;
     /// Set if the cloth has the cell from this particle (i, j) to (i + 1, j + 1).
     const CELL: u32 = 1 << (Self::MASS - 1);
     /// The slot: 0 for a free particle, 1 + the index of a handle, or this for none.
     const SLOT: u32 = Self::CELL - 1;
+    /// Two factors of 1.
+    const EVEN: u32 = 0x3c00_3c00;
 
-    /// Returns the mark of a particle.
+    /// Returns the mark of a particle of density and stiffness 1.
     fn new(quarters: u32, begins_cell: bool, role: Role) -> Self {
         let slot = match role {
             Role::Free => 0,
             Role::Handle(k) => k as u32 + 1,
             Role::Outside => Self::SLOT,
         };
-        Self(quarters << Self::MASS | if begins_cell { Self::CELL } else { 0 } | slot)
+        let word = quarters << Self::MASS | if begins_cell { Self::CELL } else { 0 } | slot;
+        Self { word, factors: Self::EVEN }
     }
 
     /// Returns the marks of the particles of one cloth, whose handles have the positions from `first` on.
-    pub(super) fn of_cloth(grid: Grid, mask: Option<&Mask>, handles: &[usize], first: usize) -> Vec<Self> {
+    pub(super) fn of_cloth(grid: Grid, cloth: &Cloth, first: usize) -> Vec<Self> {
+        let Cloth { mask, handles, density, stiffness, .. } = cloth;
         let full = |p: usize| (4.0 * grid.mass(p / grid.w, p % grid.w)) as u32;
         let is_last = |p: usize| p / grid.w + 1 == grid.h || p % grid.w + 1 == grid.w;
         let mark = |p: usize| match mask {
@@ -167,7 +177,15 @@ impl Mark {
         };
         let mut marks: Vec<Self> = (0..grid.particles()).map(mark).collect();
         for (k, &p) in handles.iter().enumerate() {
-            marks[p] = Self::new(marks[p].0 >> Self::MASS, marks[p].begins_cell(), Role::Handle(first + k));
+            marks[p] =
+                Self::new(marks[p].word >> Self::MASS, marks[p].begins_cell(), Role::Handle(first + k));
+        }
+        if density.is_some() || stiffness.is_some() {
+            for (p, mark) in marks.iter_mut().enumerate() {
+                let [density, stiffness] = [density, stiffness]
+                    .map(|map| map.as_ref().map_or(f16::ONE, |map| map.stored(p)).to_bits());
+                mark.factors = u32::from(stiffness) << 16 | u32::from(density);
+            }
         }
         marks
     }
@@ -175,7 +193,7 @@ impl Mark {
     /// Returns how the particle moves.
     #[inline]
     pub fn role(self) -> Role {
-        match self.0 & Self::SLOT {
+        match self.word & Self::SLOT {
             0 => Role::Free,
             Self::SLOT => Role::Outside,
             slot => Role::Handle(slot as usize - 1),
@@ -185,33 +203,53 @@ impl Mark {
     /// Whether it moves by its acceleration.
     #[inline]
     pub fn is_free(self) -> bool {
-        self.0 & Self::SLOT == 0
+        self.word & Self::SLOT == 0
     }
 
     /// Whether it is no part of the cloth.
     #[inline]
     pub fn is_outside(self) -> bool {
-        self.0 & Self::SLOT == Self::SLOT
+        self.word & Self::SLOT == Self::SLOT
     }
 
     /// Whether the cloth has the cell from this particle (i, j) to (i + 1, j + 1).
     #[inline]
     pub fn begins_cell(self) -> bool {
-        self.0 & Self::CELL != 0
+        self.word & Self::CELL != 0
     }
 
-    /// Returns its mass: a quarter of each cell around it, 1 inside a sheet; 0 outside of the cloth.
+    /// Returns its mass: a quarter of each cell around it, 1 inside a sheet, times its density; 0 outside of the cloth.
     #[inline]
     pub fn mass(self) -> f64 {
-        f64::from(self.0 >> Self::MASS) / 4.0
+        let area = f64::from(self.word >> Self::MASS) / 4.0;
+        if self.factors == Self::EVEN { area } else { area * f16::from_bits(self.factors as u16).to_f64() }
+    }
+
+    /// Returns the factor of the stiffness at the particle.
+    #[inline]
+    pub fn stiffness(self) -> f64 {
+        match self.factors {
+            Self::EVEN => 1.0,
+            factors => f16::from_bits((factors >> 16) as u16).to_f64(),
+        }
+    }
+
+    /// Whether the stiffness at the particle is that of the material.
+    pub(crate) fn is_even(self) -> bool {
+        self.factors >> 16 == Self::EVEN >> 16
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::Map;
     use super::*;
 
     const GRID: Grid = Grid { h: 9, w: 11 };
+
+    fn marks(mask: Option<Mask>, handles: Vec<usize>, first: usize) -> Vec<Mark> {
+        Mark::of_cloth(GRID, &Cloth { mask, handles, ..Cloth::default() }, first)
+    }
 
     fn mask(wanted: impl Fn(usize, usize) -> bool) -> Result<Mask> {
         let wanted: Vec<bool> = (0..GRID.particles()).map(|p| wanted(p / GRID.w, p % GRID.w)).collect();
@@ -232,7 +270,7 @@ mod tests {
     #[test]
     fn masses_are_those_of_the_cells() {
         let hole = mask(|i, j| (i, j) != (4, 5)).unwrap();
-        let masses: Vec<f64> = Mark::of_cloth(GRID, Some(&hole), &[0], 0).iter().map(|m| m.mass()).collect();
+        let masses: Vec<f64> = marks(Some(hole.clone()), vec![0], 0).iter().map(|m| m.mass()).collect();
         assert_eq!(masses.iter().sum::<f64>(), (8 * 10 - 4) as f64);
         assert_eq!([masses[0], masses[4 * GRID.w + 5], masses[4 * GRID.w + 4]], [0.25, 0.0, 0.5]);
         assert_eq!(hole.faces().len(), 2 * (8 * 10 - 4));
@@ -241,8 +279,8 @@ mod tests {
     #[test]
     fn a_mask_of_all_particles_changes_no_mark() {
         let all = mask(|_, _| true).unwrap();
-        let handles = [0, 37];
-        assert_eq!(Mark::of_cloth(GRID, Some(&all), &handles, 5), Mark::of_cloth(GRID, None, &handles, 5));
+        let handles = vec![0, 37];
+        assert_eq!(marks(Some(all.clone()), handles.clone(), 5), marks(None, handles, 5));
         assert_eq!(all.faces(), GRID.faces());
     }
 
@@ -252,6 +290,26 @@ mod tests {
             let mark = Mark::new(3, role == Role::Free, role);
             assert_eq!((mark.role(), mark.mass(), mark.begins_cell()), (role, 0.75, role == Role::Free));
             assert_eq!((mark.is_free(), mark.is_outside()), (role == Role::Free, role == Role::Outside));
+        }
+    }
+
+    #[test]
+    fn maps_scale_masses_and_stiffness() {
+        let factors: Vec<f64> = (0..GRID.particles()).map(|p| 0.5 + p as f64 / 64.0).collect();
+        let map = |factors: &[f64]| Some(Map::new(GRID, factors, "a test", "a map").unwrap());
+        let cloth = Cloth { density: map(&factors), handles: vec![3], ..Cloth::default() };
+        let heavy = Mark::of_cloth(GRID, &cloth, 0);
+        let even = Mark::of_cloth(GRID, &Cloth { handles: vec![3], ..Cloth::default() }, 0);
+        for (p, (heavy, even)) in heavy.iter().zip(&even).enumerate() {
+            assert_eq!((heavy.mass(), heavy.stiffness()), (factors[p] * even.mass(), 1.0));
+            assert_eq!((heavy.role(), heavy.begins_cell()), (even.role(), even.begins_cell()));
+        }
+        let stiff = Mark::of_cloth(GRID, &Cloth { stiffness: map(&factors), density: None, ..cloth }, 0);
+        for (p, stiff) in stiff.iter().enumerate() {
+            assert_eq!(
+                (stiff.mass(), stiff.stiffness(), stiff.is_even()),
+                (even[p].mass(), factors[p], factors[p] == 1.0)
+            );
         }
     }
 

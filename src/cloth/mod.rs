@@ -13,6 +13,7 @@ mod proximity;
 pub mod terms;
 mod untangle;
 mod view;
+mod weave;
 
 pub use body::{Body, BodyStats, Distance, LayerStats, MAX_BODIES, MAX_CONTACTS, Pose, Shape, Sweep};
 pub use distance_field::{DistanceField, MeshFault};
@@ -26,3 +27,4 @@ pub use model::{Air, Cloth, Control, Material, Model, Repulsion, SelfContact, St
 pub use proximity::{Nearest, Parts};
 pub use untangle::untangle;
 pub use view::VertexView;
+pub use weave::{Map, Weave};

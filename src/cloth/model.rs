@@ -1,7 +1,7 @@
 //! What stays fixed during a run, what changes, and what drives a frame. Grid units throughout, z up.
 
 use super::terms::Contact;
-use super::{Body, Grid, MAX_BODIES, Mark, Mask, Sweep};
+use super::{Body, Grid, MAX_BODIES, Map, Mark, Mask, Sweep, Weave};
 use crate::{Error, Result};
 use num_traits::Float;
 use std::collections::HashSet;
@@ -17,12 +17,30 @@ pub struct Material {
     pub shear: f64,
     /// Bend coefficient `k_bend`.
     pub bend: f64,
+    /// How stretch and bend differ between the axes of the grid.
+    #[serde(skip_serializing_if = "Weave::is_even")]
+    pub weave: Weave,
+}
+
+impl Material {
+    /// The typical material of the paper: (1000, 8, 0.5).
+    pub const PAPER: Self = Self { stretch: 1000.0, shear: 8.0, bend: 0.5, weave: Weave::EVEN };
+
+    /// Returns the coefficients of the stretch of edges along the height and along the width.
+    pub fn stretches(&self) -> [f64; 2] {
+        self.weave.stretch.map(|factor| factor * self.stretch)
+    }
+
+    /// Returns the coefficients of the bend along the height and along the width.
+    pub fn bends(&self) -> [f64; 2] {
+        self.weave.bend.map(|factor| factor * self.bend)
+    }
 }
 
 impl Default for Material {
-    /// Returns the typical material of the paper: (1000, 8, 0.5).
+    /// Returns [`Material::PAPER`].
     fn default() -> Self {
-        Self { stretch: 1000.0, shear: 8.0, bend: 0.5 }
+        Self::PAPER
     }
 }
 
@@ -60,8 +78,8 @@ impl Repulsion {
         let refused = |part: &str, expected: &str, found: f64| {
             Err(Error::invalid(origin, format!("{field}.{part}"), expected, found))
         };
-        // The mass of a corner is 1/4, so the factor 4 k / m of its push is 16 k.
-        if !(strength >= 0.0 && (16.0 * strength as f32).is_finite()) {
+        // The mass of a corner is 1/4 of its density, so the factor 4 k / m of its push is at most this.
+        if !(strength >= 0.0 && ((16.0 * strength / Map::RANGE[0]) as f32).is_finite()) {
             return refused("strength", "0 or more, and finite in single precision", strength);
         }
         if !(0.001..=1.0).contains(&distance) {
@@ -117,6 +135,14 @@ impl SelfContact {
 pub struct Cloth {
     /// Energy coefficients.
     pub material: Material,
+    /// How long the stretch of its edges resists its own change \[frames\]: an edge adds `c damping (|e| - |e0|)^2` to the
+    /// energy of a frame, where c is the coefficient of its stretch and e0 the edge at the start of the frame.
+    pub damping: f64,
+    /// Factors of the masses of its particles; `None` for 1.
+    pub density: Option<Map>,
+    /// Factors of its stretch, shear and bend: an edge has the mean of its ends, an angle that of the particle where its
+    /// edges meet. `None` for 1.
+    pub stiffness: Option<Map>,
     /// Gravity as an acceleration [edges / frame^2]
     /// ([`Setup::acceleration_of`](crate::scene::Setup::acceleration_of)).
     pub gravity: [f64; 3],
@@ -195,7 +221,7 @@ impl Model {
     }
 
     /// Fails if the grid is too small or too large ([`Grid::new`]), there is no cloth, a handle is outside
-    /// the grid, not part of its cloth or listed twice, a mask is of another grid, a number of a repulsion is out of the range given in [`Repulsion`], a
+    /// the grid, not part of its cloth or listed twice, a mask or a map is of another grid, a number of a repulsion is out of the range given in [`Repulsion`], a
     /// coefficient is negative, or any number is not finite in single precision.
     pub fn check(&self) -> Result<()> {
         Grid::new(self.grid.h, self.grid.w, "model")?;
@@ -204,11 +230,18 @@ impl Model {
             return Err(Error::invalid("model", "cloths", "at least one", 0));
         }
         for (b, cloth) in self.cloths.iter().enumerate() {
-            let Cloth { material: Material { stretch, shear, bend }, air, gravity, .. } = *cloth;
+            let Cloth { material, air, gravity, damping, .. } = *cloth;
+            let ([stretch_down, stretch_across], [bend_down, bend_across]) =
+                (material.stretches(), material.bends());
             let coefficients = [
-                ("stretch", stretch),
-                ("shear", shear),
-                ("bend", bend),
+                ("stretch", material.stretch),
+                ("shear", material.shear),
+                ("bend", material.bend),
+                ("stretch along the height", stretch_down),
+                ("stretch along the width", stretch_across),
+                ("bend along the height", bend_down),
+                ("bend along the width", bend_across),
+                ("damping", damping),
                 ("air density", air.density),
                 ("air drag", air.drag),
             ];
@@ -245,14 +278,16 @@ impl Model {
             let refused = |expected: String, p: usize| {
                 Err(Error::invalid("model", format!("handles of cloth {b}"), expected, p))
             };
-            if let Some(mask) = cloth.mask.as_ref().filter(|mask| mask.grid() != self.grid) {
-                let field = format!("mask of cloth {b}");
-                return Err(Error::invalid(
-                    "model",
-                    field,
-                    format!("one of a grid of {}", self.grid),
-                    mask.grid(),
-                ));
+            let grids = [
+                ("mask", cloth.mask.as_ref().map(Mask::grid)),
+                ("density", cloth.density.as_ref().map(Map::grid)),
+                ("stiffness", cloth.stiffness.as_ref().map(Map::grid)),
+            ];
+            for (what, grid) in grids {
+                if let Some(grid) = grid.filter(|&grid| grid != self.grid) {
+                    let expected = format!("one of a grid of {}", self.grid);
+                    return Err(Error::invalid("model", format!("{what} of cloth {b}"), expected, grid));
+                }
             }
             let mut seen = HashSet::new();
             for &p in &cloth.handles {
@@ -337,9 +372,8 @@ impl Model {
 
     /// Returns what each particle is, shape [B, H, W]. Panics if a handle is outside the grid ([`Model::check`]).
     pub fn marks(&self) -> Vec<Mark> {
-        let of_cloth = |(b, cloth): (usize, &Cloth)| {
-            Mark::of_cloth(self.grid, cloth.mask.as_ref(), &cloth.handles, self.handle_range(b).start)
-        };
+        let of_cloth =
+            |(b, cloth): (usize, &Cloth)| Mark::of_cloth(self.grid, cloth, self.handle_range(b).start);
         self.cloths.iter().enumerate().flat_map(of_cloth).collect()
     }
 }

@@ -91,9 +91,16 @@ pub fn equilibrium(model: &Model, x: &[f64]) -> Result<Equilibrium> {
 /// Returns the cloth for frames that last `duration` of its own.
 fn longer(cloth: &Cloth, duration: f64) -> Cloth {
     let square = duration * duration;
-    let Material { stretch, shear, bend } = cloth.material;
+    let material = cloth.material;
     Cloth {
-        material: Material { stretch: stretch * square, shear: shear * square, bend: bend * square },
+        material: Material {
+            stretch: material.stretch * square,
+            shear: material.shear * square,
+            bend: material.bend * square,
+            ..material
+        },
+        // At rest nothing is damped.
+        damping: 0.0,
         gravity: cloth.gravity.map(|g| g * square),
         repulsion: cloth.repulsion.map(|mut repulsion| {
             repulsion.strength *= square;

@@ -3,7 +3,7 @@
 
 use super::Real;
 use super::cloth::{
-    Approach, Contacts, CurvatureRows, Cut, Frame, GradientRows, Layers, LocalModel, Trial, add_wind,
+    Approach, Contacts, CurvatureRows, Elements, Frame, GradientRows, Layers, LocalModel, Trial, add_wind,
     end_frame, energy, gradient, local_model, masses, repulsion, repulsion_curvature, shifts, stretch,
 };
 use super::optim::norm;
@@ -42,7 +42,7 @@ pub(super) struct Trials<T> {
     /// Masses of the particles over H W, shape [B, H, W].
     masses: Vec<T>,
     /// The edges and angles of each cloth that is not a full rectangle, shape \[B\].
-    cuts: Vec<Option<Cut<T>>>,
+    elements: Vec<Option<Elements<T>>>,
     /// Contacts of each cloth in this frame, shape \[B\].
     pub contacts: Vec<Contacts<T>>,
 }
@@ -64,7 +64,7 @@ impl<T: Real> Objective<T> {
             f: zeros(),
             marks: Vec::new(),
             masses: Vec::new(),
-            cuts: Vec::new(),
+            elements: Vec::new(),
             contacts: vec![Contacts::default(); model.batch()],
         };
         trial.mark();
@@ -359,7 +359,8 @@ impl<T: Real> Trials<T> {
         let grid = self.model.grid;
         self.marks = self.model.marks();
         self.masses = masses(grid, &self.marks);
-        self.cuts = self.marks.chunks_exact(grid.particles()).map(|marks| Cut::of(grid, marks)).collect();
+        let of_cloths = self.marks.chunks_exact(grid.particles());
+        self.elements = of_cloths.map(|marks| Elements::of(grid, marks)).collect();
     }
 
     /// Returns the trial of cloth `b`.
@@ -369,13 +370,14 @@ impl<T: Real> Trials<T> {
         Trial {
             grid: self.model.grid,
             material: self.model.cloths[b].material,
+            damping: self.model.cloths[b].damping,
             x: &state.x[at.clone()],
             shift: &self.shift[at.clone()],
             a: &self.a[at.clone()],
             f: &self.f[at],
             marks: &self.marks[n * b..n * (b + 1)],
             masses: &self.masses[n * b..n * (b + 1)],
-            cut: self.cuts[b].as_ref(),
+            elements: self.elements[b].as_ref(),
         }
     }
 }

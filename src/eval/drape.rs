@@ -181,7 +181,7 @@ pub fn shadow(triangles: &[[[f64; 2]; 3]], step: f64) -> f64 {
     covered.iter().filter(|covered| **covered).count() as f64 * step * step
 }
 
-/// Measures the bending length of a cloth with these moduli and this mass per area [kg/m^2] on a strip with `edges` edges along
+/// Measures the bending length along the height (the warp) of a cloth with these moduli and this mass per area [kg/m^2] on a strip with `edges` edges along
 /// its overhang: searches the overhang at which the chord from the edge of the platform to the end of the strip is
 /// 41.5 degrees below the horizontal, and halves it.
 ///
@@ -208,7 +208,7 @@ pub fn cantilever(moduli: Moduli, areal_mass_kg_m2: f64, edges: usize) -> Result
         let [along, up] = [1, 2].map(|c| middle(grid.h - 1, c) - clamp(c));
         Ok((-up).atan2(along))
     };
-    let expected = moduli.bending_length_m(areal_mass_kg_m2, GRAVITY_M_S2);
+    let [expected, _] = moduli.bending_lengths_m(areal_mass_kg_m2, GRAVITY_M_S2);
     let [mut short, mut long] = OVERHANGS.map(|lengths| lengths * expected);
     while long - short > PRECISION * short {
         let overhang_m = (short + long) / 2.0;

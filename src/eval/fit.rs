@@ -124,7 +124,7 @@ fn key(point: &Point) -> Key {
 
 fn physics(&[stretch, shear, bend, density, drag, frame_time]: &Point) -> Physics {
     Physics {
-        stiffness: Stiffness::Grid(Material { stretch, shear, bend }),
+        stiffness: Stiffness::Grid(Material { stretch, shear, bend, ..Material::PAPER }),
         density: Some(density),
         drag: Some(drag),
         frame_time_s: Some(frame_time),

@@ -200,7 +200,7 @@ impl Suite {
             Self::Materials => {
                 for stretch in [100.0, 300.0, 1000.0] {
                     for bend in [0.01, 0.1, 1.0, 10.0] {
-                        let material = Material { stretch, shear: 8.0, bend };
+                        let material = Material { stretch, shear: 8.0, bend, ..Material::PAPER };
                         let stiffness = Stiffness::Grid(material);
                         push(
                             format!("stretch {stretch} bend {bend}"),

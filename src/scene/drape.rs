@@ -111,7 +111,7 @@ fn at_rest(sheet: &Sheet, (grid, units): (Grid, &Units), cloth: &Cloth, finer: f
         air: Air::default(),
         handles: Placement::Corners.particles(sheet.grid),
         bodies: Vec::new(),
-        mask: None,
+        ..Cloth::default()
     };
     let x: Vec<f64> = (0..3).flat_map(|c| sheet.points.iter().map(move |p| p[c] / finer)).collect();
     equilibrium(&Model { grid: sheet.grid, cloths: vec![own_cloth] }, &x)

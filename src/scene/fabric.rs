@@ -1,6 +1,7 @@
 //! The fabrics that a scene may name as its material.
 
 use super::{Mass, Moduli, Stiffness};
+use crate::cloth::Weave;
 use crate::{Error, Result};
 
 /// A fabric that was measured, to be had by its name: `"material": "denim"`.
@@ -40,10 +41,16 @@ const fn measured(
     stretching: [f64; 3],
     bending: [f64; 2],
 ) -> Fabric {
+    // The mean of both axes, and each as a factor of it.
+    let (stretch, bend) = (stretching[0] + stretching[1], bending[0] + bending[1]);
     let moduli = Moduli {
-        stretch_modulus: stretching[0] + stretching[1],
+        stretch_modulus: stretch,
         shear_modulus: stretching[2],
-        bending_stiffness: (bending[0] + bending[1]) / 8.0,
+        bending_stiffness: bend / 8.0,
+        weave: Weave {
+            stretch: [2.0 * stretching[0] / stretch, 2.0 * stretching[1] / stretch],
+            bend: [2.0 * bending[0] / bend, 2.0 * bending[1] / bend],
+        },
     };
     Fabric { name, description, areal_mass_kg_m2, moduli, source: WANG }
 }
@@ -170,10 +177,12 @@ impl Fabric {
 }
 
 impl Moduli {
-    /// Returns the bending length `(D / (rho g))^(1/3)` \[m\] of a sheet with a mass per area rho [kg/m^2] under a gravity g
+    /// Returns the bending lengths `(D / (rho g))^(1/3)` \[m\], along the height and along the width, of a sheet with a mass per area rho [kg/m^2] under a gravity g
     /// [m/s^2] (F. T. Peirce, The "Handle" of Cloth as a Measurable Quantity, J. Text. Inst. 21, T377, 1930): half of the
     /// overhang at which a strip bends down by 41.5 degrees.
-    pub fn bending_length_m(&self, areal_mass_kg_m2: f64, gravity_m_s2: f64) -> f64 {
-        (self.bending_stiffness / (areal_mass_kg_m2 * gravity_m_s2)).cbrt()
+    pub fn bending_lengths_m(&self, areal_mass_kg_m2: f64, gravity_m_s2: f64) -> [f64; 2] {
+        let length =
+            |factor: f64| (factor * self.bending_stiffness / (areal_mass_kg_m2 * gravity_m_s2)).cbrt();
+        self.weave.bend.map(length)
     }
 }

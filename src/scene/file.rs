@@ -2,11 +2,11 @@
 
 use super::start::read_transform;
 use super::{
-    Attachment, BodyMotion, BodySettings, BodyShape, Event, Fabric, Gusts, Handles, MaskSettings, Mass,
-    MeshSource, Moduli, Motion, Placement, RepulsionSettings, Scene, SelfContactSettings, Side, Start,
-    StartFile, Stiffness, UpAxis, Wind, authors,
+    Attachment, BodyMotion, BodySettings, BodyShape, Event, Fabric, Gusts, Handles, MapSettings,
+    MaskSettings, Mass, MeshSource, Moduli, Motion, Placement, RepulsionSettings, Scene, SelfContactSettings,
+    Side, Start, StartFile, Stiffness, UpAxis, Wind, authors,
 };
-use crate::cloth::{Grid, Material};
+use crate::cloth::{Grid, Material, Weave};
 use crate::io::Node;
 use crate::{Error, Result, io};
 use serde_json::{Value, json};
@@ -14,7 +14,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// The fields of a scene file.
-pub(super) const FIELDS: [&str; 23] = [
+pub(super) const FIELDS: [&str; 25] = [
     "grid",
     "side_m",
     "mask",
@@ -22,6 +22,8 @@ pub(super) const FIELDS: [&str; 23] = [
     "mass_kg",
     "areal_mass_kg_m2",
     "material",
+    "damping_s",
+    "maps",
     "gravity",
     "wind",
     "repulsion",
@@ -102,6 +104,8 @@ impl Scene {
             "mask": self.mask.as_ref().map(MaskSettings::to_json),
             "mesh": self.mesh.as_ref().map(|path| path.to_string_lossy()),
             "material": self.stiffness.to_json(),
+            "damping_s": self.damping_s,
+            "maps": self.maps.to_json(),
             "gravity": self.gravity,
             "wind": self.wind,
             "repulsion": self.repulsion.map_or(json!(false), |settings| json!(settings)),
@@ -153,6 +157,7 @@ impl Scene {
         }
         scene.mesh.iter_mut().try_for_each(absolute)?;
         scene.mask.iter_mut().flat_map(MaskSettings::files_mut).try_for_each(absolute)?;
+        scene.maps.files_mut().try_for_each(absolute)?;
         for body in &mut scene.bodies {
             if let BodyMotion::File(path) = &mut body.motion {
                 absolute(path)?;
@@ -166,8 +171,12 @@ impl Scene {
 }
 
 /// Fields that other simulators have, and what to do here.
-const ABSENT: [(&str, &str); 33] = [
-    ("damping", "there is none; the air slows the cloth (\"wind\": {\"density\", \"drag\"})"),
+const ABSENT: [(&str, &str); 34] = [
+    (
+        "damping",
+        "\"damping_s\" damps changes of the stretch, and the air slows the cloth (\"wind\": {\"density\", \"drag\"})",
+    ),
+    ("stiffness", "it is called \"material\", or \"maps\": {\"stiffness\"} where it varies"),
     ("drag", "it is a field of \"wind\""),
     ("colliders", BODIES),
     ("collider", BODIES),
@@ -216,11 +225,14 @@ fn read(node: &Node, folder: &Path) -> Result<Scene> {
     let fallback = Scene::default();
     let up = node.get_or("up", UpAxis::Y, read_up)?;
     let mask = node.get_or("mask", None, |n| MaskSettings::read(n, folder).map(Some))?;
-    let start = if mask.is_some() { Start::Flat } else { fallback.start };
+    let maps = node.get_or("maps", MapSettings::default(), |n| MapSettings::read(n, folder))?;
+    let start = if mask.is_some() || !maps.is_empty() { Start::Flat } else { fallback.start };
     Ok(Scene {
         grid: node.get_or("grid", fallback.grid, read_grid)?,
         side_m: node.get_or("side_m", fallback.side_m, read_side)?,
         mask,
+        maps,
+        damping_s: node.get_or("damping_s", fallback.damping_s, Node::number)?,
         mesh: node.get_or("mesh", None, |n| read_mesh(n, folder).map(Some))?,
         mass: read_mass(node)?,
         stiffness: node.get_or("material", fallback.stiffness, read_stiffness)?,
@@ -317,26 +329,60 @@ pub(crate) fn read_stiffness(node: &Node) -> Result<Stiffness> {
     if let Value::String(name) = node.value {
         return Stiffness::named(name, &format!("{}: {}", node.origin, node.path));
     }
-    let known: Vec<&str> = GRID.into_iter().chain(MODULI).collect();
+    let known: Vec<&str> = GRID.into_iter().chain(MODULI).chain(["weave"]).collect();
     node.deny_unknown(&known)?;
+    // Of the numbers themselves if they say so, else of the factors.
+    let weave = |of_numbers: Weave| match node.get("weave") {
+        Some(given) if !of_numbers.is_even() => Err(given.invalid("none beside two numbers for both axes")),
+        Some(given) => read_weave(&given),
+        None => Ok(of_numbers),
+    };
     if MODULI.iter().all(|key| node.get(key).is_none()) {
         let typical = Material::default();
-        return Ok(Stiffness::Grid(Material {
-            stretch: node.get_or(GRID[0], typical.stretch, Node::number)?,
-            shear: node.get_or(GRID[1], typical.shear, Node::number)?,
-            bend: node.get_or(GRID[2], typical.bend, Node::number)?,
-        }));
+        let (stretch, of_stretch) = node.get_or(GRID[0], (typical.stretch, [1.0; 2]), read_along_axes)?;
+        let (bend, of_bend) = node.get_or(GRID[2], (typical.bend, [1.0; 2]), read_along_axes)?;
+        let weave = weave(Weave { stretch: of_stretch, bend: of_bend })?;
+        let shear = node.get_or(GRID[1], typical.shear, Node::number)?;
+        return Ok(Stiffness::Grid(Material { stretch, shear, bend, weave }));
     }
     if let Some(mixed) = GRID.iter().find_map(|key| node.get(key)) {
         return Err(mixed.invalid("either grid coefficients or SI moduli, not both"));
     }
     let expected = format!("all three of {}", MODULI.join(", "));
-    let modulus = |key| node.get(key).ok_or_else(|| node.invalid(expected.clone()))?.number();
-    Ok(Stiffness::Moduli(Moduli {
-        stretch_modulus: modulus(MODULI[0])?,
-        shear_modulus: modulus(MODULI[1])?,
-        bending_stiffness: modulus(MODULI[2])?,
-    }))
+    let modulus = |key| node.get(key).ok_or_else(|| node.invalid(expected.clone()));
+    let (stretch_modulus, of_stretch) = read_along_axes(&modulus(MODULI[0])?)?;
+    let (bending_stiffness, of_bend) = read_along_axes(&modulus(MODULI[2])?)?;
+    let weave = weave(Weave { stretch: of_stretch, bend: of_bend })?;
+    let shear_modulus = modulus(MODULI[1])?.number()?;
+    Ok(Stiffness::Moduli(Moduli { stretch_modulus, shear_modulus, bending_stiffness, weave }))
+}
+
+/// Reads a number, or one along the height and one along the width: their mean, and the factors of it.
+fn read_along_axes(node: &Node) -> Result<(f64, [f64; 2])> {
+    if node.value.is_number() {
+        return Ok((node.number()?, [1.0; 2]));
+    }
+    let along = node.array("a number, or two: [along the height, along the width]", Node::number)?;
+    if along.iter().any(|number| *number < 0.0) {
+        return Err(node.invalid("numbers of 0 or more"));
+    }
+    let mean = 0.5 * along[0] + 0.5 * along[1];
+    Ok((mean, if along[0] == along[1] { [1.0; 2] } else { along.map(|number| number / mean) }))
+}
+
+/// Reads the factors of both axes, which a scene is written with.
+fn read_weave(node: &Node) -> Result<Weave> {
+    node.deny_unknown(&["stretch", "bend"])?;
+    let factors = |field: &str| {
+        node.get_or(field, [1.0; 2], |node| {
+            let factors = node.array("two factors: [along the height, along the width]", Node::number)?;
+            match factors.iter().all(|factor| *factor >= 0.0) {
+                true => Ok(factors),
+                false => Err(node.invalid("factors of 0 or more")),
+            }
+        })
+    };
+    Ok(Weave { stretch: factors("stretch")?, bend: factors("bend")? })
 }
 
 /// Reads gravity: a vector, or a magnitude that points down whatever its sign.

@@ -1,10 +1,11 @@
 //! Cloths that are not a full rectangle: which part of the sheet is left.
 
 use super::Units;
+use super::picture::Picture;
 use super::start::looks_like_a_path;
 use crate::cloth::{Grid, Mask};
 use crate::io::Node;
-use crate::{Error, Result, io};
+use crate::{Error, Result};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -119,7 +120,12 @@ impl Region {
             Region::Triangle => polygon(&[[0.0, 1.0], [1.0, 1.0], [0.5, 0.0]]),
             Region::Circle { centre, radius_m } => circle(*centre, radius_m / units.length_m),
             Region::Polygon(corners) => polygon(corners),
-            Region::File(path) => return of_file(path, grid),
+            Region::File(path) if Picture::is_png(path) => {
+                Picture::read(path, "mask")?.nearest(grid).iter().map(|value| *value >= 0.5).collect()
+            }
+            Region::File(path) => {
+                Picture::read(path, "mask")?.nearest(grid).iter().map(|value| *value != 0.0).collect()
+            }
         })
     }
 
@@ -200,87 +206,6 @@ fn is_inside(corners: &[[f64; 2]], [x, y]: [f64; 2]) -> bool {
         (y0 > y) != (y1 > y) && x < x0 + (y - y0) / (y1 - y0) * (x1 - x0)
     };
     sides(corners).filter(|&side| crosses(side)).count() % 2 == 1
-}
-
-/// Returns which particles a file keeps.
-fn of_file(path: &Path, grid: Grid) -> Result<Vec<bool>> {
-    let origin = path.display().to_string();
-    let share = |k: usize, n: usize| k as f64 / (n - 1) as f64;
-    let all = |keeps: &dyn Fn(f64, f64) -> bool| -> Vec<bool> {
-        (0..grid.particles()).map(|p| keeps(share(p / grid.w, grid.h), share(p % grid.w, grid.w))).collect()
-    };
-    match path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase) {
-        Some(e) if e == "npy" => {
-            let array = io::read_npy(path)?;
-            let &[rows, columns] = array.shape() else {
-                return Err(Error::invalid(origin, "shape", "[H, W]", format!("{:?}", array.shape())));
-            };
-            if rows * columns == 0 {
-                return Err(Error::invalid(
-                    origin,
-                    "shape",
-                    "at least one number",
-                    format!("{:?}", array.shape()),
-                ));
-            }
-            let nearest = |part: f64, n: usize| (part * (n - 1) as f64).round() as usize;
-            Ok(all(&|down, across| array[[nearest(down, rows), nearest(across, columns)]] != 0.0))
-        }
-        Some(e) if e == "png" => {
-            let image = read_image(path)?;
-            let pixel = |part: f64, n: usize| ((part * n as f64) as usize).min(n - 1);
-            // Upright on a sheet that hangs from j = 0: u = 1 - i / (H - 1) to the right, v = 1 - j / (W - 1) up.
-            Ok(all(&|down, across| {
-                image.keeps[pixel(across, image.height) * image.width + pixel(1.0 - down, image.width)]
-            }))
-        }
-        _ => Err(Error::invalid(origin, "mask", "a .png or .npy file", "another extension")),
-    }
-}
-
-/// Which pixels of a picture are bright and opaque, row by row from the top.
-struct Picture {
-    width: usize,
-    height: usize,
-    keeps: Vec<bool>,
-}
-
-#[cfg(not(feature = "render"))]
-fn read_image(path: &Path) -> Result<Picture> {
-    Err(Error::invalid(
-        path.display().to_string(),
-        "mask",
-        "a .npy, as the feature `render` is off",
-        "a .png",
-    ))
-}
-
-#[cfg(feature = "render")]
-fn read_image(path: &Path) -> Result<Picture> {
-    use crate::memory;
-    let (origin, bytes) = (path.display().to_string(), io::read_bytes(path)?);
-    let failed = |e: png::DecodingError| Error::invalid(path.display().to_string(), "picture", "a PNG", e);
-    let mut decoder = png::Decoder::new(std::io::Cursor::new(bytes));
-    decoder.set_transformations(png::Transformations::normalize_to_color8());
-    let mut reader = decoder.read_info().map_err(failed)?;
-    let size = reader.output_buffer_size().unwrap_or(usize::MAX);
-    let mut pixels = Vec::new();
-    memory::reserve(&mut pixels, size, &origin)?;
-    pixels.resize(size, 0);
-    let info = reader.next_frame(&mut pixels).map_err(failed)?;
-    let samples = info.color_type.samples();
-    let keeps = |pixel: &[u8]| {
-        let part = |k: usize| f64::from(pixel[k]) / 255.0;
-        let (bright, opaque) = match samples {
-            1 => (part(0), 1.0),
-            2 => (part(0), part(1)),
-            3 => ((part(0) + part(1) + part(2)) / 3.0, 1.0),
-            _ => ((part(0) + part(1) + part(2)) / 3.0, part(3)),
-        };
-        bright * opaque >= 0.5
-    };
-    let keeps = pixels[..info.buffer_size()].chunks_exact(samples).map(keeps).collect();
-    Ok(Picture { width: info.width as usize, height: info.height as usize, keeps })
 }
 
 #[cfg(test)]

@@ -33,7 +33,9 @@
 //! | `mask` | the part of the sheet that the cloth has, see below | | all of it |
 //! | `mesh` | the path of an `.obj`, or `{"file"}`: a mesh with texture coordinates that the cloth carries along, see below | | the grid's own |
 //! | `mass_kg` or `areal_mass_kg_m2` | mass of the whole sheet, before it is cut, or mass per area; above 0 | kg or kg/m^2 | areal, that of the fabric, or else `0.187` |
-//! | `material` | grid coefficients `{"stretch", "shear", "bend"}`, each optional; or SI moduli `{"stretch_modulus", "shear_modulus", "bending_stiffness"}`, all three required; or `"paper"`, which is `{"stretch": 1000, "shear": 8, "bend": 0.5}`; or the name of a fabric, see below | 1; or N/m, N/m, N m | `{"stretch_modulus": 1492.888, "shear_modulus": 44.8333, "bending_stiffness": 0.000752464}` |
+//! | `material` | grid coefficients `{"stretch", "shear", "bend"}`, each optional; or SI moduli `{"stretch_modulus", "shear_modulus", "bending_stiffness"}`, all three required; or `"paper"`, which is `{"stretch": 1000, "shear": 8, "bend": 0.5}`; or the name of a fabric, see below. Stretch and bend may be two numbers, `[along the height, along the width]`: warp and weft | 1; or N/m, N/m, N m | `{"stretch_modulus": 1492.888, "shear_modulus": 44.8333, "bending_stiffness": 0.000752464}` |
+//! | `damping_s` | strain-rate damping: how long stretched edges resist a change of their length, the stiffness-proportional (Rayleigh) coefficient of stretch | s | `0` |
+//! | `maps` | where the sheet is heavier or stiffer, `{"density", "stiffness"}`, see below | | none |
 //! | `gravity` | vector, or its magnitude, which points down whatever its sign | m/s^2 | 9.8 downwards |
 //! | `wind` | `{"velocity": [x, y, z], "density", "drag", "gusts"}`; gusts are `{"speed_m_s", "frequency_hz", "seed"}`: a velocity of this root mean square that is added, takes a new direction so often (1 if left out) and is the same for the same seed (0) | m/s, kg/m^3, N s/m^3 | `[0, 0, 0]`, `1`, `0`, none |
 //! | `repulsion` | repulsion between the layers of the cloth: `{"strength", "distance"}`, each 1 if left out; `true` for both defaults; or `false` for none | m^2/s^2, edges | `false` |
@@ -67,6 +69,11 @@
 //! is not zero where particles are. (u, v) are texture coordinates, 0 to 1: u to the right and v up on a sheet that hangs from
 //! the edge j = 0. The cloth consists of the cells of the grid that lie in the region with all four corners. Without a `start`
 //! such a cloth begins `flat`, since it has no settled drape, and its handles must be particles that it has.
+//!
+//! **Maps.** Each of `maps` is a `.npy` [rows, columns] of factors over the particles' rows and columns, or `{"file": "seams.png",
+//! "range": [1, 20]}`, a picture that lies on the sheet as a mask does, with the factors of what is black or transparent and of what
+//! is white; between them, and between particles, it is interpolated. Factors are 0.001 to 1000, kept to 0.05 %. `density`
+//! multiplies the mass per area; `stiffness` stretch, shear and bend. Such a cloth, too, begins `flat` without a `start`.
 //!
 //! ```
 //! # use fnopt::scene::Scene;
@@ -219,10 +226,12 @@ pub(crate) mod file;
 mod gusts;
 mod handles;
 mod lattice;
+mod maps;
 mod mask;
 mod motion;
 mod named;
 mod obj;
+mod picture;
 mod points;
 mod script;
 mod setup;
@@ -235,6 +244,7 @@ pub use events::{Attachment, Event, Release};
 pub use fabric::{Fabric, fabrics};
 pub use gusts::{Airflow, Gusts};
 pub use handles::{Handles, Placement};
+pub use maps::{MapFile, MapSettings};
 pub use mask::{MaskSettings, Region};
 pub use motion::{BuiltIn, Motion};
 pub use named::{NamedScene, named_scenes};
@@ -243,7 +253,7 @@ pub use setup::{Batch, EmbeddedMesh, MAX_FRAMES, Setup};
 pub use start::{Start, StartFile, Transform};
 pub use units::{Moduli, Units, UpAxis};
 
-use crate::cloth::{Grid, Material, Repulsion, SelfContact};
+use crate::cloth::{Grid, Material, Repulsion, SelfContact, Weave};
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -334,6 +344,7 @@ impl Default for Stiffness {
             stretch_modulus: 1492.888,
             shear_modulus: 44.8333,
             bending_stiffness: 0.000752464,
+            weave: Weave::EVEN,
         })
     }
 }
@@ -413,12 +424,16 @@ pub struct Scene {
     pub side_m: Side,
     /// The part of the sheet that the cloth has; `None` for all of it.
     pub mask: Option<MaskSettings>,
+    /// Where it is heavier or stiffer than elsewhere.
+    pub maps: MapSettings,
     /// An OBJ file with texture coordinates: the mesh that the cloth carries along ([`RenderMesh`](crate::io::RenderMesh)).
     pub mesh: Option<PathBuf>,
     /// Mass of the sheet.
     pub mass: Mass,
     /// Stiffness of the sheet.
     pub stiffness: Stiffness,
+    /// Strain-rate damping of its edges \[s\]: the stiffness-proportional (Rayleigh) coefficient of its stretch.
+    pub damping_s: f64,
     /// Gravity [m/s^2].
     pub gravity: [f64; 3],
     /// The air.
@@ -464,6 +479,8 @@ impl Default for Scene {
             grid: Grid { h: 32, w: 32 },
             side_m: Side::Height(1.0),
             mask: None,
+            maps: MapSettings::default(),
+            damping_s: 0.0,
             mesh: None,
             mass: Mass::default(),
             stiffness: Stiffness::default(),
@@ -512,7 +529,7 @@ impl Scene {
             BodyShape::Mesh { source: MeshSource::File(path), .. } => Some(&**path),
             _ => None,
         });
-        let masks = self.mask.iter().flat_map(MaskSettings::files);
+        let masks = self.mask.iter().flat_map(MaskSettings::files).chain(self.maps.files());
         let mesh = self.mesh.as_deref();
         start.into_iter().chain(motion).chain(poses).chain(meshes).chain(masks).chain(mesh)
     }
@@ -553,6 +570,7 @@ impl Scene {
         }
         self.positive("speed", self.speed)?;
         self.check_stiffness("material", self.stiffness)?;
+        self.not_negative("damping_s", self.damping_s)?;
         self.check_wind("wind", &self.wind)?;
         self.finite("gravity", self.gravity)?;
         self.not_negative("friction", self.friction)?;

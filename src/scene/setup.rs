@@ -4,9 +4,9 @@ use super::motion::Recording;
 use super::points::{norm, zip};
 use super::script::Change;
 use super::surface::Sheet;
-use super::{Airflow, Handles, Motion, Scene, Start, Units, UpAxis};
+use super::{Airflow, Handles, MapFile, Motion, Scene, Start, Units, UpAxis};
 use crate::cloth::{
-    Cloth, Control, Embedding, Grid, Intersection, Material, Model, Pose, State, Sweep, VertexView, cast,
+    Cloth, Control, Embedding, Grid, Intersection, Model, Pose, State, Sweep, VertexView, cast,
     intersections, untangle,
 };
 use crate::io::{Embedded, Frames, RenderMesh, Topology, Trajectory};
@@ -414,12 +414,16 @@ impl Scene {
         let units = self.check()?;
         let grid = self.grid;
         memory::check(grid.particles().saturating_mul(BYTES_PER_PARTICLE), &format!("a scene of {grid}"))?;
+        let map = |field: &str, of: &Option<MapFile>| of.as_ref().map(|map| map.on(grid, field)).transpose();
         let mut cloth = Cloth {
             material: self.stiffness.in_grid_units(&units, grid),
             gravity: units.acceleration(self.up.to_z_up(self.gravity)),
             air: units.air(self.wind.density, self.wind.drag),
             repulsion: self.repulsion.map(|settings| units.repulsion(settings)),
             self_contact: self.self_contact.map(|settings| self.of_layers(&units, settings)),
+            damping: self.damping_s / self.frame_time_s,
+            density: map("maps.density", &self.maps.density)?,
+            stiffness: map("maps.stiffness", &self.maps.stiffness)?,
             handles: self.handles.on(grid, &self.origin)?,
             bodies: Vec::new(),
             mask: match &self.mask {
@@ -428,8 +432,9 @@ impl Scene {
             },
         };
         self.check_handles(&cloth, "handles")?;
-        if cloth.mask.is_some() && self.start == Start::Settled {
-            let expected = "flat, hanging or a file, since a cloth with a mask has no settled drape";
+        let uneven = [("a mask", cloth.mask.is_some()), ("maps", !self.maps.is_empty())];
+        if let Some((what, _)) = uneven.iter().find(|(_, is)| *is && self.start == Start::Settled) {
+            let expected = format!("flat, hanging or a file, since a cloth with {what} has no settled drape");
             return Err(Error::invalid(&self.origin, "start", expected, "settled"));
         }
         let embedding = match &self.mesh {
@@ -687,10 +692,12 @@ impl Scene {
     /// Fails if a constant of the cloth overflows in grid units, or in single precision, in which frames are computed
     /// and written, though it is finite in SI units.
     pub(super) fn check_units(&self, units: &Units, cloth: &Cloth, wind: Airflow) -> Result<()> {
-        let Material { stretch, shear, bend } = cloth.material;
+        let material = cloth.material;
         let air = [cloth.air.density, cloth.air.drag];
         self.check_single("side_m, frame_time_s", [units.length_m, units.length_m / units.frame_time_s])?;
-        self.check_single("material", [stretch, shear, bend])?;
+        let coefficients = [[material.stretch, material.shear], material.stretches(), material.bends()];
+        self.check_single("material", coefficients.as_flattened().iter().copied())?;
+        self.check_single("damping_s", [cloth.damping])?;
         self.check_single("gravity", cloth.gravity)?;
         self.check_single("wind", air.into_iter().chain(wind.velocity).chain([wind.gusts]))
     }

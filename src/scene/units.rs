@@ -1,7 +1,7 @@
 //! Conversion between SI units outside and grid units inside.
 
 use super::RepulsionSettings;
-use crate::cloth::{Air, Grid, Material, Repulsion};
+use crate::cloth::{Air, Grid, Material, Repulsion, Weave};
 
 /// The axis of a scene's positions, vectors and files that points up. Internally, everything is z up.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -48,6 +48,9 @@ pub struct Moduli {
     pub shear_modulus: f64,
     /// Bending stiffness D [N m].
     pub bending_stiffness: f64,
+    /// How stretch and bend differ between the axes of the grid.
+    #[serde(skip_serializing_if = "Weave::is_even")]
+    pub weave: Weave,
 }
 
 /// Size of the grid units in SI units: the length of an edge, the duration of a frame, and the mass per area.
@@ -126,6 +129,7 @@ impl Units {
             stretch: moduli.stretch_modulus / y,
             shear: moduli.shear_modulus / g,
             bend: moduli.bending_stiffness / d,
+            weave: moduli.weave,
         }
     }
 
@@ -136,6 +140,7 @@ impl Units {
             stretch_modulus: y * material.stretch,
             shear_modulus: g * material.shear,
             bending_stiffness: d * material.bend,
+            weave: material.weave,
         }
     }
 

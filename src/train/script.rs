@@ -70,7 +70,7 @@ impl Script {
         Self {
             anchors: handles.iter().map(|&p| grid.rest(p).into()).collect(),
             cloth: Cloth {
-                material: Material { stretch, shear, bend },
+                material: Material { stretch, shear, bend, ..Material::PAPER },
                 gravity: (gravity * motion.gravity * size).into(),
                 handles,
                 ..Cloth::default()

@@ -74,7 +74,8 @@ impl<T: Real> Stages for CpuStages<T> {
                 f: &f[at],
                 marks: &marks[n * b..n * (b + 1)],
                 masses: &masses[n * b..n * (b + 1)],
-                cut: None,
+                damping: 0.0,
+                elements: None,
             };
             terms.push(energy(&trial));
             let mut grad = vec![T::zero(); 3 * n];
@@ -98,7 +99,8 @@ impl<T: Real> Stages for CpuStages<T> {
             f: &zeros,
             marks: &marks,
             masses: &masses(grid, &marks),
-            cut: None,
+            damping: 0.0,
+            elements: None,
         };
         let energy = repulsion(&trial, of_cloth, &mut accelerations);
         Ok((energy, gradient_of_push(grid, &double(&accelerations))))

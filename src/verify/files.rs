@@ -357,7 +357,12 @@ impl Checker<'_> {
         let case = RolloutCase {
             grid,
             cloth: Cloth {
-                material: Material { stretch: material[0], shear: material[1], bend: material[2] },
+                material: Material {
+                    stretch: material[0],
+                    shear: material[1],
+                    bend: material[2],
+                    ..Material::PAPER
+                },
                 gravity: [gravity[0], gravity[1], gravity[2]],
                 handles: [0, (h - 1) * w].into_iter().take(handles).collect(),
                 ..Cloth::default()
@@ -476,7 +481,7 @@ fn cloths(golden: &Golden, batch: usize, grid: Grid) -> Result<Vec<Cloth>> {
     let (stretch, shear, bend) =
         (coefficient("stretching")?, coefficient("shearing")?, coefficient("bending")?);
     let cloth = |b: usize| Cloth {
-        material: Material { stretch: stretch[b], shear: shear[b], bend: bend[b] },
+        material: Material { stretch: stretch[b], shear: shear[b], bend: bend[b], ..Material::PAPER },
         handles: (0..n).filter(|p| mask[b * n + p] != 0.0).collect(),
         ..Cloth::default()
     };

@@ -2,23 +2,30 @@
 
 use crate::noise;
 use fnopt::cloth::{
-    Air, Body, Cloth, Control, DistanceField, Grid, Mask, Material, Model, Pose, Shape, State, Sweep,
+    Air, Body, Cloth, Control, DistanceField, Grid, Map, Mask, Material, Model, Pose, Shape, State, Sweep,
+    Weave,
 };
 use std::sync::Arc;
 
-/// Builds three different cloths in wind, the second of them not a full rectangle, their state and their control.
+/// Builds three different cloths in wind, the second of them not a full rectangle, the third not even, their state and their control.
 pub fn varied_batch(grid: Grid) -> (Model, State<f32>, Control<f32>) {
     let n = grid.particles();
     let noise = |seed| noise::noise(9 * n, seed).into_iter().map(|v| v as f32);
     let cloth = |b: usize| Cloth {
-        material: Material { stretch: 100.0 * (1 + b) as f64, shear: 3.0, bend: 0.2 * b as f64 },
+        material: Material {
+            stretch: 100.0 * (1 + b) as f64,
+            shear: 3.0,
+            bend: 0.2 * b as f64,
+            ..Material::PAPER
+        },
         gravity: [0.0, 0.01 * b as f64, -0.1],
         air: Air { density: 0.1 * b as f64, drag: 0.02 },
         handles: vec![b, n - 1 - b][..2 - b % 2].to_vec(),
         mask: (b == 1).then(|| jagged(grid)),
         ..Cloth::default()
     };
-    let model = Model { grid, cloths: (0..3).map(cloth).collect() };
+    let mut model = Model { grid, cloths: (0..3).map(cloth).collect() };
+    make_uneven(grid, &mut model.cloths[2]);
     let mut state = State::<f32>::rest(grid, 3);
     state.x.iter_mut().zip(noise(6)).for_each(|(x, noise)| *x += 0.05 * noise);
     let mut handles = vec![];
@@ -107,6 +114,18 @@ pub fn among_bodies(grid: Grid) -> (Model, State<f32>, Control<f32>) {
     };
     let bodies = model.cloths.iter().flat_map(|cloth| &cloth.bodies).map(swept).collect();
     (model, state, Control { bodies, ..control })
+}
+
+/// Makes a cloth differ between its axes and from place to place, and damps it.
+pub fn make_uneven(grid: Grid, cloth: &mut Cloth) {
+    let map = |factor: &dyn Fn(usize, usize) -> f64| {
+        let factors: Vec<f64> = (0..grid.particles()).map(|p| factor(p / grid.w, p % grid.w)).collect();
+        Some(Map::new(grid, &factors, "a test", "map").unwrap())
+    };
+    cloth.material.weave = Weave { stretch: [1.25, 0.75], bend: [0.5, 1.5] };
+    cloth.damping = 0.5;
+    cloth.density = map(&|i, j| 1.0 + 0.25 * (i % 3) as f64 + 0.125 * (j % 5) as f64);
+    cloth.stiffness = map(&|i, j| if (i + j) % 4 == 0 { 3.0 } else { 0.5 + 0.125 * (j % 4) as f64 });
 }
 
 /// Returns a mask with a hole, a corner cut off, and a border with teeth, which keeps the middle of the first row.

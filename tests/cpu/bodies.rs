@@ -135,7 +135,7 @@ fn among_bodies(grid: Grid) -> (Model, State<f64>, Control<f64>) {
         body(Shape::Plane, at(0.0, 0.0, -0.1)),
     ];
     let cloth = Cloth {
-        material: Material { stretch: 700.0, shear: 8.0, bend: 3.0 },
+        material: Material { stretch: 700.0, shear: 8.0, bend: 3.0, ..Material::PAPER },
         gravity: [0.0, 0.01, -0.1],
         handles: vec![n / 2],
         bodies,
@@ -304,7 +304,7 @@ fn a_strip_over_a_cylinder_follows_the_capstan_equation() {
     let across = Pose { position: [3.5, 0.0, 0.0], rotation: DQuat::from_rotation_y(PI / 2.0).to_array() };
     let cylinder = Body { friction, ..body(Shape::Capsule { radius, half_length: 20.0 }, across) };
     let cloth = Cloth {
-        material: Material { stretch: 1000.0, shear: 8.0, bend: 0.0 },
+        material: Material { stretch: 1000.0, shear: 8.0, bend: 0.0, ..Material::PAPER },
         // The last row is drawn down.
         handles: (n - grid.w..n).collect(),
         bodies: vec![cylinder],

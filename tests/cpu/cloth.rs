@@ -70,7 +70,18 @@ impl Sheet {
         let shift = self.shift();
         let Self { grid, material, x, a, f, marks, .. } = self;
         let masses = &masses(*grid, marks);
-        use_it(&Trial { grid: *grid, material: *material, x, shift: &shift, a, f, marks, masses, cut: None })
+        use_it(&Trial {
+            grid: *grid,
+            material: *material,
+            x,
+            shift: &shift,
+            a,
+            f,
+            marks,
+            masses,
+            damping: 0.0,
+            elements: None,
+        })
     }
 
     fn shift(&self) -> Vec<f64> {
@@ -94,7 +105,7 @@ fn check(name: &str) {
     let file = Golden::open(name);
     let [stretch, shear, bend] = ["stretching", "shearing", "bending"].map(|name| file.get(name));
     for b in 0..stretch.len() {
-        let material = Material { stretch: stretch[b], shear: shear[b], bend: bend[b] };
+        let material = Material { stretch: stretch[b], shear: shear[b], bend: bend[b], ..Material::PAPER };
         let sheet = Sheet::golden(&file, material, b);
         let found = sheet.energy();
         let terms = [
@@ -126,7 +137,7 @@ fn energies_and_gradients_agree_with_the_authors() {
 
 /// Builds a crumpled sheet with velocities, accelerations, forces and two handles.
 fn crumpled(grid: Grid) -> Sheet {
-    let material = Material { stretch: 300.0, shear: 20.0, bend: 3.0 };
+    let material = Material { stretch: 300.0, shear: 20.0, bend: 3.0, ..Material::PAPER };
     let mut sheet = Sheet::shaped(grid, material, |j, i| [j, i, 0.0]);
     let len = sheet.x.len();
     let add = |to: &mut Vec<f64>, seed, size: f64| {
@@ -191,7 +202,7 @@ fn gradient_of_straight_and_degenerate_edges_is_finite() {
 fn uniformly_stretched_sheared_and_bent_sheets() {
     let grid = Grid { h: 9, w: 14 };
     let (h, w) = (9.0, 14.0);
-    let material = Material { stretch: 70.0, shear: 5.0, bend: 2.0 };
+    let material = Material { stretch: 70.0, shear: 5.0, bend: 2.0, ..Material::PAPER };
     let close = |found: f64, expected: f64| {
         assert!((found - expected).abs() < 1e-12 * expected, "{found} {expected}")
     };

@@ -163,7 +163,7 @@ fn pressed(grid: Grid) -> (Model, State<f64>, Control<f64>, Vec<f64>) {
     let n = grid.particles();
     let cloth = Cloth {
         self_contact: Some(SETTINGS),
-        material: Material { stretch: 10.0, shear: 1.0, bend: 0.1 },
+        material: Material { stretch: 10.0, shear: 1.0, bend: 0.1, ..Material::PAPER },
         handles: vec![5],
         ..Cloth::default()
     };
@@ -372,7 +372,7 @@ fn layers_slide_on_each_other_as_friction_allows() {
     };
     for friction in [0.4, 0.2, 0.1] {
         let cloth = Cloth {
-            material: Material { stretch: 0.0, shear: 0.0, bend: 0.0 },
+            material: Material { stretch: 0.0, shear: 0.0, bend: 0.0, ..Material::PAPER },
             gravity: [0.0, gravity * tangent * cosine, -gravity * cosine],
             self_contact: Some(SelfContact { thickness: 0.16, friction }),
             handles: held.clone(),

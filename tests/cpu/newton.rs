@@ -41,14 +41,15 @@ impl Sheet {
     fn at<'a>(&'a self, x: &'a [f64]) -> Trial<'a, f64> {
         Trial {
             grid: self.grid,
-            material: Material { stretch: 700.0, shear: 8.0, bend: 3.0 },
+            material: Material { stretch: 700.0, shear: 8.0, bend: 3.0, ..Material::PAPER },
             x,
             shift: &self.zeros,
             a: &self.zeros,
             f: &self.zeros,
             marks: &self.marks,
             masses: &self.masses,
-            cut: None,
+            damping: 0.0,
+            elements: None,
         }
     }
 
@@ -226,7 +227,7 @@ fn solves_the_system(grid: Grid, repulsion: Option<Repulsion>) {
 /// makes the Hessian definite, yet there is a direction, and it leads down.
 #[test]
 fn pivots_lost_to_rounding_are_replaced() {
-    let material = Material { stretch: 1e10, shear: 1e8, bend: 1e8 };
+    let material = Material { stretch: 1e10, shear: 1e8, bend: 1e8, ..Material::PAPER };
     for w in 8..24 {
         let sheet = Sheet::new(Grid { h: 9, w }, 0.05);
         let stiff = Trial { material, ..sheet.at(&sheet.x) };
@@ -267,7 +268,8 @@ fn frames_of_a_swinging_sheet_converge() {
 fn a_stiff_fine_sheet_converges() {
     let mut scene = Scene::released();
     scene.regrid(Grid { h: 100, w: 100 }).unwrap();
-    scene.stiffness = Stiffness::Grid(Material { stretch: 10_000.0, shear: 80.0, bend: 50.0 });
+    scene.stiffness =
+        Stiffness::Grid(Material { stretch: 10_000.0, shear: 80.0, bend: 50.0, ..Material::PAPER });
     let setup = scene.setup().unwrap();
     let mut reference = Reference::new(&setup.model).unwrap();
     let (mut state, still) = (setup.start.clone(), vec![0.0; setup.start.x.len()]);
@@ -315,7 +317,7 @@ fn layers_within_range_converge() {
     let of_cloth = Repulsion { strength: 0.03, distance: 0.9 };
     // The fold itself is held.
     let cloth = Cloth {
-        material: Material { stretch: 700.0, shear: 8.0, bend: 0.1 },
+        material: Material { stretch: 700.0, shear: 8.0, bend: 0.1, ..Material::PAPER },
         repulsion: Some(of_cloth),
         handles: ((h / 2 - 2) * w..(h / 2 + 2) * w).collect(),
         ..Cloth::default()

@@ -21,7 +21,7 @@ fn scene(h: usize, w: usize) -> Setup {
 fn the_cosine_transform_is_orthonormal() {
     // With inertia alone, the Hessian is a multiple of the identity in any basis.
     let grid = Grid { h: 13, w: 18 };
-    let material = Material { stretch: 0.0, shear: 0.0, bend: 0.0 };
+    let material = Material { stretch: 0.0, shear: 0.0, bend: 0.0, ..Material::PAPER };
     let n = grid.particles();
     let cloth = Cloth { material, handles: vec![4, 100], ..Cloth::default() };
     let direction: Vec<f64> = (0..3 * n).map(|k| (k * 7919 % 101) as f64 - 50.0).collect();
@@ -73,8 +73,8 @@ fn hessian_then_inverse(
 #[test]
 fn waves_of_a_flat_sheet_are_eigenvectors() {
     let grid = Grid { h: 14, w: 19 };
-    let stretch = Material { stretch: 1000.0, shear: 0.0, bend: 0.0 };
-    let bend = Material { stretch: 0.0, shear: 0.0, bend: 10.0 };
+    let stretch = Material { stretch: 1000.0, shear: 0.0, bend: 0.0, ..Material::PAPER };
+    let bend = Material { stretch: 0.0, shear: 0.0, bend: 10.0, ..Material::PAPER };
     let cosine = |k: usize, i: usize, n: usize| (PI * (k * (2 * i + 1)) as f64 / (2 * n) as f64).cos();
     // In-plane waves, which stretch and compress the edges of one direction: along the width, then the
     // height.

@@ -70,7 +70,8 @@ impl Sheet {
             f,
             marks,
             masses: &masses,
-            cut: None,
+            damping: 0.0,
+            elements: None,
         })
     }
 

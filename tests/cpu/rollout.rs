@@ -31,7 +31,12 @@ impl<T: Real> Rollout<T> {
         let grid = Grid { h: shape[2], w: shape[3] };
         let material = golden.get("material");
         let cloth = Cloth {
-            material: Material { stretch: material[0], shear: material[1], bend: material[2] },
+            material: Material {
+                stretch: material[0],
+                shear: material[1],
+                bend: material[2],
+                ..Material::PAPER
+            },
             gravity: golden.get("external_acceleration").try_into().unwrap(),
             handles: vec![0, (grid.h - 1) * grid.w],
             ..Default::default()

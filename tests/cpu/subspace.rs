@@ -29,7 +29,7 @@ impl Frame {
     fn new(grid: Grid, crumpled: f64, repulsion: Option<Repulsion>) -> Self {
         let n = grid.particles();
         let cloth = Cloth {
-            material: Material { stretch: 700.0, shear: 8.0, bend: 3.0 },
+            material: Material { stretch: 700.0, shear: 8.0, bend: 3.0, ..Material::PAPER },
             gravity: [0.0, 0.01, -0.1],
             handles: vec![0, n - 1, n / 2],
             repulsion,

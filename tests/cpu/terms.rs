@@ -1,15 +1,15 @@
 //! The plain definitions of the energy's local terms against central differences, and the vectorised forms against
 //! the plain ones.
 
-use crate::cloths::jagged;
+use crate::cloths::{jagged, make_uneven};
 use crate::golden::relative_error;
 use crate::noise::noise;
 use fnopt::cloth::terms::{Angle, Edge, Particle};
-use fnopt::cloth::{Cloth, EnergyTerms, Grid, Mark, Mask, Material, Model, State};
+use fnopt::cloth::{Cloth, EnergyTerms, Grid, Mark, Material, Model, State};
 use fnopt::cpu::Real;
 use fnopt::cpu::cloth::{
-    CurvatureRows, Cut, GradientRows, Hessian, LocalModel, PlainTotal, Projection, Trial, energy, gradient,
-    local_model, masses, neighbours, plain_total,
+    CurvatureRows, Elements, GradientRows, Hessian, LocalModel, PlainTotal, Projection, Trial, energy,
+    gradient, local_model, masses, neighbours, plain_total,
 };
 use glam::{DMat3, DVec3};
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -47,15 +47,16 @@ fn size(m: DMat3) -> f64 {
 
 #[test]
 fn edges_have_these_derivatives() {
-    let edge = Edge { factor: 700.0 };
-    for (e, length) in vectors(1).into_iter().zip([1e-3, 0.1, 0.9, 1.0, 1.1, 3.0].into_iter().cycle()) {
-        let e = length * e.normalize();
+    let lengths = [1e-3, 0.1, 0.9, 1.0, 1.1, 3.0].into_iter().cycle();
+    let dampings = [(0.0, 1.0), (2.0, 1.05), (0.5, 0.9), (1.0, 0.0)].into_iter().cycle();
+    for ((e, length), (damping, before)) in vectors(1).into_iter().zip(lengths).zip(dampings) {
+        let (edge, e) = (Edge { factor: 700.0, damping, before }, length * e.normalize());
         let step = 3e-4 * length;
         let slope = differences(|e| edge.energy(e), e, step);
-        let scale = 2.0 * 700.0 * (length - 1.0).abs().max(1e-3);
+        let scale = 2.0 * 700.0 * ((length - 1.0).abs() + damping * (length - before).abs()).max(1e-3);
         assert!((slope - edge.gradient(e)).length() < 1e-9 * scale, "{length}: {slope}");
         let change = jacobian(|e| edge.gradient(e), e, step);
-        let scale = 2.0 * 700.0 * (1.0 / length).max(1.0);
+        let scale = 2.0 * 700.0 * (1.0 + damping) * (1.0 / length).max(1.0);
         assert!(size(change - edge.hessian(e)) < 1e-9 * scale, "{length}: {change}");
     }
 }
@@ -122,7 +123,7 @@ fn angles_have_these_derivatives() {
 
 #[test]
 fn degenerate_elements_take_their_limits() {
-    let (edge, zero) = (Edge { factor: 700.0 }, DVec3::ZERO);
+    let (edge, zero) = (Edge { factor: 700.0, damping: 0.0, before: 1.0 }, DVec3::ZERO);
     assert_eq!((edge.energy(zero), edge.gradient(zero), edge.hessian(zero)), (700.0, zero, DMat3::ZERO));
     let w = DVec3::new(-0.5, -0.7, -0.2);
     for angle in [BEND, SHEAR] {
@@ -157,7 +158,7 @@ struct Sheet {
     a: Vec<f64>,
     f: Vec<f64>,
     marks: Vec<Mark>,
-    mask: Option<Mask>,
+    cloth: Cloth,
     directions: Vec<f64>,
 }
 
@@ -180,9 +181,8 @@ impl Sheet {
             directions.chunks_exact_mut(n).for_each(|field| field[p] = 0.0);
         }
         let shift = noise(3 * n, 13, 0.3 * crumpled);
-        let mask = cloth.mask.clone();
-        let marks = Model { grid, cloths: vec![cloth] }.marks();
-        Self { grid, x, shift, a: noise(3 * n, 14, 0.1), f: noise(3 * n, 15, 0.1), marks, mask, directions }
+        let marks = Model { grid, cloths: vec![cloth.clone()] }.marks();
+        Self { grid, x, shift, a: noise(3 * n, 14, 0.1), f: noise(3 * n, 15, 0.1), marks, cloth, directions }
     }
 
     /// Builds a sheet at rest whose particles are moved by `place`, from (j, i) on.
@@ -199,11 +199,13 @@ impl Sheet {
     fn with_trial<T: Real, R>(&self, use_it: impl FnOnce(&Trial<'_, T>, &[T]) -> R) -> R {
         let all = |values: &[f64]| values.iter().map(|&v| T::of(v)).collect::<Vec<T>>();
         let (x, shift, a, f) = (all(&self.x), all(&self.shift), all(&self.a), all(&self.f));
-        let material = Material { stretch: 700.0, shear: 8.0, bend: 3.0 };
+        let material = Material { stretch: 700.0, shear: 8.0, bend: 3.0, ..self.cloth.material };
+        let damping = self.cloth.damping;
         let (grid, marks) = (self.grid, &self.marks[..]);
-        let (masses, cut) = (masses(grid, marks), Cut::of(grid, marks));
+        let (masses, elements) = (masses(grid, marks), Elements::of(grid, marks));
         let [x, shift, a, f, masses] = [&x, &shift, &a, &f, &masses].map(|values| &values[..]);
-        let trial = Trial { grid, material, x, shift, a, f, marks, masses, cut: cut.as_ref() };
+        let elements = elements.as_ref();
+        let trial = Trial { grid, material, damping, x, shift, a, f, marks, masses, elements };
         use_it(&trial, &all(&self.directions))
     }
 
@@ -249,7 +251,7 @@ impl Sheet {
         let free = Self {
             x: self.x.clone(),
             shift: self.shift.clone(),
-            ..Self::cut((grid.h, grid.w), 0.0, Cloth { mask: self.mask.clone(), ..Cloth::default() })
+            ..Self::cut((grid.h, grid.w), 0.0, Cloth { handles: Vec::new(), ..self.cloth.clone() })
         };
         let mut hessian = Hessian::new(grid).unwrap();
         free.with_trial(|trial, _| hessian.fill(trial, Projection::NONE));
@@ -310,8 +312,18 @@ fn sheets() -> Vec<(String, Sheet)> {
         let sheet = move |crumpled| Sheet::cut((h, w), crumpled, cloth.clone());
         [0.4, 1e-3].map(|crumpled| (format!("{h}x{w}, jagged, crumpled by {crumpled}"), sheet(crumpled)))
     };
+    let uneven = |(h, w): (usize, usize)| {
+        let grid = Grid { h, w };
+        let mut cloth = Cloth { handles: vec![0, h * w / 2], ..Cloth::default() };
+        make_uneven(grid, &mut cloth);
+        let masked = Cloth { mask: Some(jagged(grid)), handles: Vec::new(), ..cloth.clone() };
+        let sheet = move |cloth: &Cloth| Sheet::cut((h, w), 0.4, cloth.clone());
+        [("uneven", sheet(&cloth)), ("uneven and jagged", sheet(&masked))]
+            .map(|(name, sheet)| (format!("{h}x{w}, {name}, crumpled by 0.4"), sheet))
+    };
     let full = grids.into_iter().chain(rows.clone()).flat_map(of_grid);
-    full.chain(rows.chain([(9, 12), (11, 17), (130, 131)]).flat_map(masked)).collect()
+    let others = rows.chain([(9, 12), (11, 17), (130, 131)]);
+    full.chain(others.clone().flat_map(masked)).chain(others.flat_map(uneven)).collect()
 }
 
 /// Returns sheets with edges of length zero, straight and folded bends, and corners without a normal.

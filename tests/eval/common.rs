@@ -10,7 +10,7 @@ pub fn shipped() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/ground_truth")
 }
 
-pub const MATERIAL: Material = Material { stretch: 1000.0, shear: 8.0, bend: 0.5 };
+pub const MATERIAL: Material = Material { stretch: 1000.0, shear: 8.0, bend: 0.5, ..Material::PAPER };
 pub const PHYSICS: Physics =
     Physics { stiffness: Stiffness::Grid(MATERIAL), density: None, drag: None, frame_time_s: None };
 pub const SETTINGS: Settings = Settings { physics: PHYSICS, own_material: true, points: 1000, frames: 25 };

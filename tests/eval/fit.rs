@@ -18,7 +18,7 @@ fn a_known_material_is_found_again() {
     let folder = tempfile::tempdir().unwrap();
     let to = folder.path().join("made");
     std::fs::create_dir(&to).unwrap();
-    let truth = Material { stretch: 400.0, shear: 4.0, bend: 0.5 };
+    let truth = Material { stretch: 400.0, shear: 4.0, bend: 0.5, ..Material::PAPER };
     let mut scene = Scene {
         stiffness: Stiffness::Grid(truth),
         frames: Some(20),

@@ -78,7 +78,7 @@ fn cases_are_what_they_are_called() {
     // 391 frames hold 390 steps.
     assert_eq!([frames("speed 1"), frames("speed 2"), frames("speed 1.5")], [391, 196, 261]);
     let soft = case(Suite::Materials, "stretch 300 bend 0.1").scene.stiffness;
-    assert_eq!(soft, Stiffness::Grid(Material { stretch: 300.0, shear: 8.0, bend: 0.1 }));
+    assert_eq!(soft, Stiffness::Grid(Material { stretch: 300.0, shear: 8.0, bend: 0.1, ..Material::PAPER }));
     let start = |name: &str| case(Suite::Handles, name).scene.start;
     assert!(matches!(start("corners flat"), Start::Flat) && matches!(start("corners drape"), Start::Settled));
     let motion = |name: &str| case(Suite::Motions, name).scene.motion;

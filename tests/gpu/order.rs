@@ -49,7 +49,8 @@ fn frames_have_the_same_bits_in_every_order() {
     let start = State::rest(long, 3);
     model.grid = long;
     for cloth in &mut model.cloths {
-        (cloth.mask, cloth.handles) = (None, Vec::new());
+        (cloth.mask, cloth.density, cloth.stiffness) = (None, None, None);
+        cloth.handles.clear();
     }
     (control.handles, control.external) = (vec![], vec![]);
     compare(context(), (model, start, control), &learned, None);

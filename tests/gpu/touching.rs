@@ -34,7 +34,7 @@ pub fn folded(grid: Grid, apart: f32, (i, j): (f32, f32)) -> [f32; 3] {
 /// through itself.
 pub fn touching(grid: Grid) -> (Model, State<f32>, Control<f32>) {
     let cloth = |handles: &[usize]| Cloth {
-        material: Material { stretch: 10.0, shear: 1.0, bend: 0.1 },
+        material: Material { stretch: 10.0, shear: 1.0, bend: 0.1, ..Material::PAPER },
         self_contact: Some(SETTINGS),
         handles: handles.to_vec(),
         ..Cloth::default()

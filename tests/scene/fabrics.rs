@@ -1,6 +1,7 @@
 //! Fabrics as the material of a scene.
 
 use super::common::parse;
+use fnopt::cloth::Weave;
 use fnopt::scene::{Fabric, Mass, Scene, Stiffness, fabrics};
 
 #[test]
@@ -52,15 +53,18 @@ fn fabrics_are_cloths() {
     names.dedup();
     assert_eq!(names.len(), fabrics().len());
     for fabric in fabrics() {
-        let length = fabric.moduli.bending_length_m(fabric.areal_mass_kg_m2, 9.81);
-        assert!((0.01..0.03).contains(&length), "{}: {length} m", fabric.name);
+        let lengths = fabric.moduli.bending_lengths_m(fabric.areal_mass_kg_m2, 9.81);
+        assert!(lengths.iter().all(|length| (0.01..0.03).contains(length)), "{}: {lengths:?} m", fabric.name);
         assert!((0.1..0.35).contains(&fabric.areal_mass_kg_m2), "{}", fabric.name);
         assert!(!fabric.description.is_empty() && fabric.source.contains("2011"));
         assert_eq!(Fabric::find(fabric.name, "a test").unwrap(), *fabric);
     }
     // 1 g of weight on 1 cm, B = D / (rho g) = 1 cm^3: 9.81e-6 N m at 1 kg/m^2.
-    let moduli = fnopt::scene::Moduli { bending_stiffness: 9.81e-6, ..fabrics()[0].moduli };
-    assert!((moduli.bending_length_m(1.0, 9.81) - 0.01).abs() < 1e-15);
+    let weave = Weave { bend: [1.0, 8.0], ..Weave::EVEN };
+    let moduli = fnopt::scene::Moduli { bending_stiffness: 9.81e-6, weave, ..fabrics()[0].moduli };
+    for (length, expected) in moduli.bending_lengths_m(1.0, 9.81).into_iter().zip([0.01, 0.02]) {
+        assert!((length - expected).abs() < 1e-15);
+    }
 }
 
 #[test]

@@ -9,4 +9,5 @@ mod meshes;
 mod named;
 mod refusals;
 mod setups;
+mod uneven;
 mod units;

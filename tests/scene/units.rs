@@ -45,7 +45,12 @@ fn energy(x: &[Vec<[f64; 3]>], k: Material) -> f64 {
 /// elasticity.
 #[test]
 fn moduli_are_those_of_a_stretched_a_sheared_and_a_bent_sheet() {
-    let moduli = Moduli { stretch_modulus: 900.0, shear_modulus: 40.0, bending_stiffness: 2e-4 };
+    let moduli = Moduli {
+        stretch_modulus: 900.0,
+        shear_modulus: 40.0,
+        bending_stiffness: 2e-4,
+        weave: fnopt::cloth::Weave::EVEN,
+    };
     for (h, w, side) in [(300, 240, 1.0), (400, 500, 0.6), (12, 12, 1.0), (8, 20, 0.3)] {
         let grid = Grid { h, w };
         let length = side / (h - 1) as f64;

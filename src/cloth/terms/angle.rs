@@ -19,6 +19,11 @@ impl Angle {
     /// tells their normal.
     pub const PARALLEL: f64 = 1e-9;
 
+    /// Returns the same with a coefficient that is a multiple of this one.
+    pub(super) fn times(self, factor: f64) -> Self {
+        Self { factor: factor * self.factor, ..self }
+    }
+
     /// Returns the energy. With an edge of length zero, the angle is 0.
     pub fn energy(self, u: DVec3, w: DVec3) -> f64 {
         self.factor * (angle(u, w) - self.rest).powi(2)

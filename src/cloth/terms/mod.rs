@@ -37,18 +37,25 @@ pub struct Elastic {
     pub horizontal: Edge,
     /// The angle between two edges of a cell that meet in a corner.
     pub shear: Angle,
-    /// The angle between two consecutive edges of the same direction.
-    pub bend: Angle,
+    /// The angle between two consecutive vertical edges.
+    pub vertical_bend: Angle,
+    /// The angle between two consecutive horizontal edges.
+    pub horizontal_bend: Angle,
 }
 
 impl Elastic {
-    /// Returns the terms of a material on a grid of at least 2 x 2 particles.
-    pub fn new(Grid { h, w }: Grid, Material { stretch, shear, bend }: Material) -> Self {
+    /// Returns the terms of a material, whose edges have this damping \[frames\], on a grid of at least 2 x 2 particles. The
+    /// edges are taken to have length 1 at the start of the frame.
+    pub fn new(Grid { h, w }: Grid, material: Material, damping: f64) -> Self {
+        let ([down, across], n) = (material.stretches(), (h * w) as f64);
+        let bend = |coefficient: f64| Angle { factor: coefficient / n, rest: 0.0 };
+        let [vertical_bend, horizontal_bend] = material.bends().map(bend);
         Self {
-            vertical: Edge { factor: stretch / ((h - 1) * w) as f64 },
-            horizontal: Edge { factor: stretch / (h * (w - 1)) as f64 },
-            shear: Angle { factor: shear / (h * w) as f64, rest: FRAC_PI_2 },
-            bend: Angle { factor: bend / (h * w) as f64, rest: 0.0 },
+            vertical: Edge { factor: down / ((h - 1) * w) as f64, damping, before: 1.0 },
+            horizontal: Edge { factor: across / (h * (w - 1)) as f64, damping, before: 1.0 },
+            shear: Angle { factor: material.shear / n, rest: FRAC_PI_2 },
+            vertical_bend,
+            horizontal_bend,
         }
     }
 }
@@ -56,31 +63,34 @@ impl Elastic {
 /// The numbers of the particles where an edge begins and ends.
 pub type Ends = [usize; 2];
 
-/// Returns all edges of a cloth with their stretch.
-pub fn edges(grid: Grid, material: Material) -> Vec<(Ends, Edge)> {
-    let Elastic { vertical, horizontal, .. } = Elastic::new(grid, material);
+/// Returns all edges of a cloth with their stretch, given the marks of its particles [H, W].
+pub fn edges(grid: Grid, elastic: Elastic, marks: &[Mark]) -> Vec<(Ends, Edge)> {
     let mut edges = Vec::new();
+    let of_ends = |p: usize, q: usize, edge: Edge| {
+        let stiffness = 0.5 * (marks[p].stiffness() + marks[q].stiffness());
+        ([p, q], Edge { factor: stiffness * edge.factor, ..edge })
+    };
     for p in 0..grid.particles() {
         if let Some(q) = below(grid, p) {
-            edges.push(([p, q], vertical));
+            edges.push(of_ends(p, q, elastic.vertical));
         }
         if let Some(q) = right(grid, p) {
-            edges.push(([p, q], horizontal));
+            edges.push(of_ends(p, q, elastic.horizontal));
         }
     }
     edges
 }
 
 /// Returns the four corners of each cell of a cloth, the pairs of a vertical and a horizontal edge, with their shear.
-pub fn corners(grid: Grid, material: Material) -> Vec<([Ends; 2], Angle)> {
-    let shear = Elastic::new(grid, material).shear;
+pub fn corners(grid: Grid, elastic: Elastic, marks: &[Mark]) -> Vec<([Ends; 2], Angle)> {
     let mut corners = Vec::new();
     for p in 0..grid.particles() {
         let (Some(q), Some(r)) = (right(grid, p), below(grid, p)) else { continue };
         let opposite = r + 1;
-        for vertical in [[p, r], [q, opposite]] {
+        for (side, vertical) in [[p, r], [q, opposite]].into_iter().enumerate() {
             for horizontal in [[p, q], [r, opposite]] {
-                corners.push(([vertical, horizontal], shear));
+                let stiffness = marks[horizontal[side]].stiffness();
+                corners.push(([vertical, horizontal], elastic.shear.times(stiffness)));
             }
         }
     }
@@ -88,14 +98,15 @@ pub fn corners(grid: Grid, material: Material) -> Vec<([Ends; 2], Angle)> {
 }
 
 /// Returns the pairs of consecutive edges of the same direction of a cloth, with their bend.
-pub fn bends(grid: Grid, material: Material) -> Vec<([Ends; 2], Angle)> {
-    let bend = Elastic::new(grid, material).bend;
+pub fn bends(grid: Grid, elastic: Elastic, marks: &[Mark]) -> Vec<([Ends; 2], Angle)> {
+    type Next = fn(Grid, usize) -> Option<usize>;
+    let axes: [(Next, Angle); 2] = [(below, elastic.vertical_bend), (right, elastic.horizontal_bend)];
     let mut bends = Vec::new();
     for p in 0..grid.particles() {
-        for next in [below, right] {
+        for (next, bend) in axes {
             let Some(q) = next(grid, p) else { continue };
             let Some(r) = next(grid, q) else { continue };
-            bends.push(([[p, q], [q, r]], bend));
+            bends.push(([[p, q], [q, r]], bend.times(marks[q].stiffness())));
         }
     }
     bends

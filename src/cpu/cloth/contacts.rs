@@ -60,7 +60,7 @@ impl<T: Real> Contacts<T> {
     pub fn find(start: Approach<'_, T>) -> Self {
         let particles: Vec<usize> =
             (0..start.grid.particles()).filter(|&p| start.marks[p].is_free()).collect();
-        let elastic = Elastic::new(start.grid, start.cloth.material);
+        let elastic = Elastic::new(start.grid, start.cloth.material, start.cloth.damping);
         let of_task = |task: &[usize]| {
             let mut found = Vec::new();
             task.iter().for_each(|&p| start.find_at(p, elastic, &mut found));
@@ -270,7 +270,7 @@ impl<T: Real> Approach<'_, T> {
     }
 
     /// Returns n . D n, with the block D of particle `p` in the Hessian of the stretch at the start of the frame, where
-    /// compressed edges count as unstretched. Shear and bend are weak beside it.
+    /// compressed edges count as unstretched and all as stiff as the material. Shear and bend are weak beside it.
     pub(super) fn elastic_along(&self, p: usize, normal: DVec3, elastic: Elastic) -> f64 {
         let Grid { h, w } = self.grid;
         let (n, i, j) = (h * w, p / w, p % w);
@@ -288,7 +288,8 @@ impl<T: Real> Approach<'_, T> {
                     return None;
                 }
                 let along = (edge.dot(normal) / length).powi(2);
-                Some(2.0 * term.factor * (along + (1.0 - 1.0 / length).max(0.0) * (1.0 - along)))
+                let stiffened = (1.0 + term.damping) * along;
+                Some(2.0 * term.factor * (stiffened + (1.0 - 1.0 / length).max(0.0) * (1.0 - along)))
             })
             .sum()
     }

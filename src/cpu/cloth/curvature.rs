@@ -8,9 +8,12 @@
     reason = "iterator adapters would not be compiled for the registers, see `rows`"
 )]
 
-use super::cut::Element;
-use super::rows::{Stored, any_normal, at, cross, dot, load, normalise, scaled, store, vector_at, width};
-use super::{Angle, Factors, Trial, particles};
+use super::elements::Element;
+use super::rows::{
+    Damping, Stored, any_normal, at, cross, dot, load, normalise, scaled, store, total_and_rest, vector_at,
+    width,
+};
+use super::{Angle, Terms, Trial, particles};
 use crate::cloth::{EnergyTerms, Grid};
 use crate::cpu::Real;
 use crate::sim::MAX_DIRECTIONS;
@@ -50,6 +53,8 @@ pub struct CurvatureRows<T> {
 struct Work<T> {
     vertical: [Vec<T>; 2],
     horizontal: [Vec<T>; 2],
+    /// Lengths at the start of the frame, shape \[W'\].
+    before: Vec<T>,
 }
 
 impl<T: Real> CurvatureRows<T> {
@@ -64,7 +69,13 @@ impl<T: Real> CurvatureRows<T> {
         Self {
             grid,
             stored,
-            tasks: (0..tasks).map(|_| Work { vertical: edges(), horizontal: edges() }).collect(),
+            tasks: (0..tasks)
+                .map(|_| Work {
+                    vertical: edges(),
+                    horizontal: edges(),
+                    before: vec![T::zero(); stored.stride],
+                })
+                .collect(),
             masks: [mask(0), mask(1), mask(2)].concat(),
         }
     }
@@ -177,14 +188,13 @@ impl<T: Real, const K: usize> WithSimd for Band<'_, '_, T, K> {
     fn with_simd<S: Simd>(self, simd: S) -> LocalModel {
         let Self { trial, range, stored, work, masks, directions, grad } = self;
         let Grid { h, w } = trial.grid;
-        let Factors { vertical, horizontal, shear, bend } = trial.factors();
-        let Work { vertical: [v, next_v], horizontal: [e, next_e] } = work;
+        let Terms { vertical, horizontal, shear, vertical_bend, horizontal_bend } = trial.terms();
+        let Work { vertical: [v, next_v], horizontal: [e, next_e], before } = work;
         // Of a full row, its first W - k elements.
-        let mask = |i: usize, element: Element, k: usize| match trial.cut {
-            Some(cut) => cut.row(i, element),
+        let mask = |i: usize, element: Element, k: usize| match trial.stiffness(i, element) {
+            Some(factors) => factors,
             None => &masks[k * stored.stride..][..stored.stride],
         };
-        let (straight, square) = ((bend, BEND), (shear, SHEAR));
         let particles = particles::Directions { fields: directions, grad };
         let edges = Edges::<T, S, K> { simd, stored, trial, directions, kind: std::marker::PhantomData };
         let mut model = LocalModel::default();
@@ -204,21 +214,25 @@ impl<T: Real, const K: usize> WithSimd for Band<'_, '_, T, K> {
                 energies: [zero; 5],
             };
             particles.add_row::<S, K>(simd, trial, i, &mut sums);
-            edges.stretch(e, horizontal, mask(i, Element::Right, 1), &mut sums);
-            edges.angles(straight, (&e[1..], e), mask(i, Element::StraightRight, 2), &mut sums);
+            let damping = Damping::of(simd, trial, (i, 1, w - 1), stored, before);
+            edges.stretch(e, (horizontal, damping), mask(i, Element::Right, 1), &mut sums);
+            let straight = mask(i, Element::StraightRight, 2);
+            edges.angles((horizontal_bend, BEND), (&e[1..], e), straight, &mut sums);
             if i + 1 < h {
                 edges.load((i + 1, 1, w - 1), next_e);
-                edges.stretch(v, vertical, mask(i, Element::Down, 0), &mut sums);
+                let damping = Damping::of(simd, trial, (i, w, w), stored, before);
+                edges.stretch(v, (vertical, damping), mask(i, Element::Down, 0), &mut sums);
                 for right in [false, true] {
                     for (lower, e) in [(false, &*e), (true, &*next_e)] {
                         let mask = mask(i, Element::corner(lower, right), 1);
-                        edges.angles(square, (&v[usize::from(right)..], e), mask, &mut sums);
+                        edges.angles((shear, SHEAR), (&v[usize::from(right)..], e), mask, &mut sums);
                     }
                 }
             }
             if i + 2 < h {
                 edges.load((i + 1, w, w), next_v);
-                edges.angles(straight, (next_v, v), mask(i, Element::StraightDown, 0), &mut sums);
+                let straight = mask(i, Element::StraightDown, 0);
+                edges.angles((vertical_bend, BEND), (next_v, v), straight, &mut sums);
             }
             std::mem::swap(v, next_v);
             std::mem::swap(e, next_e);
@@ -292,10 +306,16 @@ impl<T: Real, S: Simd, const K: usize> Edges<'_, '_, T, S, K> {
         }
     }
 
-    /// Adds `factor (|e| - 1)^2`, whose second derivative is `2 factor` along the edge and
-    /// `2 factor (1 - 1 / |e|)` across it ([`terms::Edge`](crate::cloth::terms::Edge)).
+    /// Adds the energies of edges and their second derivatives, `2 factor (1 + t)` along the edge and
+    /// `2 factor (1 + t - r / |e|)` across it ([`terms::Edge`](crate::cloth::terms::Edge)), each times its number in `mask`.
     #[inline(always)]
-    fn stretch(self, edges: &[T], factor: T, mask: &[T], sums: &mut Sums<T::Lanes<S>>) {
+    fn stretch(
+        self,
+        edges: &[T],
+        (factor, damping): (T, Option<Damping<'_, T>>),
+        mask: &[T],
+        sums: &mut Sums<T::Lanes<S>>,
+    ) {
         let Self { simd, stored: Stored { stride, count }, .. } = self;
         let (zero, one) = (T::splat(simd, T::zero()), T::splat(simd, T::one()));
         let twice = T::splat(simd, factor + factor);
@@ -305,11 +325,20 @@ impl<T: Real, S: Simd, const K: usize> Edges<'_, '_, T, S, K> {
             let inverse = at::<T, S>(edges, place + 3 * stride);
             let length = T::select_greater(simd, (inverse, zero), T::div_lanes(simd, one, inverse), zero);
             let excess = T::sub_lanes(simd, length, one);
-            let square = T::mul_lanes(simd, T::mul_lanes(simd, excess, excess), at::<T, S>(mask, place));
-            sums.energies[STRETCH] = T::fma(simd, factor, square, sums.energies[STRETCH]);
+            let mask = at::<T, S>(mask, place);
+            let square = T::mul_lanes(simd, excess, excess);
+            let energy = match damping {
+                Some(damping) => T::add_lanes(simd, square, damping.energy(simd, place, length)),
+                None => square,
+            };
+            let factor = T::mul_lanes(simd, factor, mask);
+            sums.energies[STRETCH] = T::fma(simd, factor, energy, sums.energies[STRETCH]);
             // The differences are over the length: |e|^2 times both factors.
-            let along = T::mul_lanes(simd, twice, length);
-            let across = T::mul_lanes(simd, along, excess);
+            let (total, rest) = total_and_rest::<T, S>(simd, damping, place);
+            let each = T::mul_lanes(simd, T::mul_lanes(simd, twice, mask), length);
+            let along = T::mul_lanes(simd, each, rest);
+            let across =
+                T::mul_lanes(simd, each, T::sub_lanes(simd, T::mul_lanes(simd, total, length), rest));
             for i in 0..K {
                 let from = place + 4 * (1 + i) * stride;
                 let radial = T::mul_lanes(simd, along, at::<T, S>(edges, from + 3 * stride));
@@ -350,11 +379,14 @@ impl<T: Real, S: Simd, const K: usize> Edges<'_, '_, T, S, K> {
             let sine = T::sqrt_lanes(simd, dot::<T, S>(simd, c, c));
             let cosine = dot::<T, S>(simd, unit_u, unit_w);
             let delta = T::sub_lanes(simd, T::angle(simd, sine, cosine), rest);
-            let square = T::mul_lanes(simd, T::mul_lanes(simd, delta, delta), at::<T, S>(mask, place));
+            let mask = at::<T, S>(mask, place);
+            let square = T::mul_lanes(simd, delta, delta);
+            let factor = T::mul_lanes(simd, factor, mask);
             sums.energies[energy] = T::fma(simd, factor, square, sums.energies[energy]);
             if K == 0 {
                 continue;
             }
+            let twice = T::mul_lanes(simd, twice, mask);
             // For parallel edges any normal will do.
             let any = any_normal::<T, S>(simd, unit_u);
             let across = T::sqrt_lanes(simd, dot::<T, S>(simd, any, any));

@@ -1,9 +1,9 @@
 //! The energy of a cloth at a trial acceleration (paper section 3.2): the vectorised form of the energies in
 //! [`terms`](crate::cloth::terms), checked against the plain one.
 
-use super::cut::Element;
-use super::rows::{Stored, cross, dot, load, vector_at, width};
-use super::{Angle, Factors, Trial, particles};
+use super::elements::Element;
+use super::rows::{Damping, Stored, cross, dot, load, vector_at, width};
+use super::{Angle, Terms, Trial, particles};
 use crate::cloth::{EnergyTerms, Grid};
 use crate::cpu::Real;
 use pulp::{Arch, Simd, WithSimd};
@@ -22,17 +22,20 @@ pub(in crate::cpu) fn generic_energy<T: Real>(trial: &Trial<'_, T>) -> EnergyTer
     EnergyTerms::from_array(std::array::from_fn(|k| rows.iter().map(|row| row.to_array()[k]).sum()))
 }
 
-/// Edges of a row and of the next one, shape [3, W'], and the squares to be summed, shape \[W'\].
+/// Edges of a row and of the next one, shape [3, W'], their lengths at the start of the frame, and the squares to be summed,
+/// shape \[W'\].
 struct Work<T> {
     vertical: [Vec<T>; 2],
     horizontal: [Vec<T>; 2],
+    before: Vec<T>,
     squares: Vec<T>,
 }
 
 impl<T: Real> Work<T> {
     fn new(stride: usize) -> Self {
         let edges = || [(); 2].map(|()| vec![T::zero(); 3 * stride]);
-        Self { vertical: edges(), horizontal: edges(), squares: vec![T::zero(); stride] }
+        let row = || vec![T::zero(); stride];
+        Self { vertical: edges(), horizontal: edges(), before: row(), squares: row() }
     }
 }
 
@@ -51,24 +54,27 @@ impl<T: Real> WithSimd for Row<'_, '_, T> {
     fn with_simd<S: Simd>(self, simd: S) -> EnergyTerms {
         let Self { trial, i, stored, work } = self;
         let Grid { h, w } = trial.grid;
-        let Factors { vertical, horizontal, shear, bend } = trial.factors();
+        let Terms { vertical, horizontal, shear, vertical_bend, horizontal_bend } = trial.terms();
         let (vertical, horizontal) = (vertical.f64(), horizontal.f64());
-        let Work { vertical: [v, next_v], horizontal: [e, next_e], squares } = work;
+        let Work { vertical: [v, next_v], horizontal: [e, next_e], before, squares } = work;
         let mut sums = Squares { simd, stored, squares };
-        let has = |element| trial.cut.map(|cut| cut.row(i, element));
+        let factors = |element| trial.stiffness(i, element);
         let mut sum = particles::energy(trial, i);
         load(simd, trial, (i, 1, w - 1), stored, e);
-        sum.stretch += horizontal * sums.of_lengths(e, (w - 1, has(Element::Right)));
-        sum.bend += sums.of_angles(bend, (&e[1..], e), (w - 2, has(Element::StraightRight)));
+        let damping = Damping::of(simd, trial, (i, 1, w - 1), stored, before);
+        sum.stretch += horizontal * sums.of_lengths(e, damping, (w - 1, factors(Element::Right)));
+        let straight = (w - 2, factors(Element::StraightRight));
+        sum.bend += sums.of_angles(horizontal_bend, (&e[1..], e), straight);
         if i + 1 == h {
             return sum;
         }
         load(simd, trial, (i, w, w), stored, v);
-        sum.stretch += vertical * sums.of_lengths(v, (w, has(Element::Down)));
+        let damping = Damping::of(simd, trial, (i, w, w), stored, before);
+        sum.stretch += vertical * sums.of_lengths(v, damping, (w, factors(Element::Down)));
         load(simd, trial, (i + 1, 1, w - 1), stored, next_e);
         for right in [false, true] {
             for (lower, e) in [(false, &*e), (true, &*next_e)] {
-                let corners = (w - 1, has(Element::corner(lower, right)));
+                let corners = (w - 1, factors(Element::corner(lower, right)));
                 sum.shear += sums.of_angles(shear, (&v[usize::from(right)..], e), corners);
             }
         }
@@ -76,12 +82,12 @@ impl<T: Real> WithSimd for Row<'_, '_, T> {
             return sum;
         }
         load(simd, trial, (i + 1, w, w), stored, next_v);
-        sum.bend += sums.of_angles(bend, (next_v, v), (w, has(Element::StraightDown)));
+        sum.bend += sums.of_angles(vertical_bend, (next_v, v), (w, factors(Element::StraightDown)));
         sum
     }
 }
 
-/// Sums of squares over the first edges, or pairs of edges, of a row, or those of them that a factor of 1 says the cloth has:
+/// Sums of squares over the first edges, or pairs of edges, of a row, times their factors if there are any:
 /// squared in the precision of the cloth, summed in double precision.
 struct Squares<'a, T, S> {
     simd: S,
@@ -91,9 +97,14 @@ struct Squares<'a, T, S> {
 }
 
 impl<T: Real, S: Simd> Squares<'_, T, S> {
-    /// Sums `(|e| - 1)^2`.
+    /// Sums `(|e| - 1)^2`, and what the damping adds.
     #[inline(always)]
-    fn of_lengths(&mut self, edges: &[T], summed: (usize, Option<&[T]>)) -> f64 {
+    fn of_lengths(
+        &mut self,
+        edges: &[T],
+        damping: Option<Damping<'_, T>>,
+        summed: (usize, Option<&[T]>),
+    ) -> f64 {
         let Self { simd, stored, .. } = *self;
         let one = T::splat(simd, T::one());
         for k in 0..stored.count / width::<T, S>() {
@@ -101,6 +112,10 @@ impl<T: Real, S: Simd> Squares<'_, T, S> {
             let e = vector_at::<T, S>(edges, place, stored.stride);
             let length = T::sqrt_lanes(simd, dot::<T, S>(simd, e, e));
             self.keep(place, T::sub_lanes(simd, length, one));
+            if let Some(damping) = damping {
+                let square = &mut T::lanes_mut::<S>(&mut self.squares[place..])[0];
+                *square = T::add_lanes(simd, *square, damping.energy(simd, place, length));
+            }
         }
         self.sum(summed)
     }
@@ -129,17 +144,17 @@ impl<T: Real, S: Simd> Squares<'_, T, S> {
     }
 
     #[inline(always)]
-    fn sum(&self, (len, has): (usize, Option<&[T]>)) -> f64 {
+    fn sum(&self, (len, factors): (usize, Option<&[T]>)) -> f64 {
         let mut sum = 0.0;
-        match has {
+        match factors {
             None => {
                 for square in &self.squares[..len] {
                     sum += square.f64();
                 }
             }
-            Some(has) => {
-                for (&square, &has) in self.squares[..len].iter().zip(has) {
-                    sum += (square * has).f64();
+            Some(factors) => {
+                for (&square, &factor) in self.squares[..len].iter().zip(factors) {
+                    sum += (square * factor).f64();
                 }
             }
         }

@@ -7,9 +7,10 @@
 //! Both passes process [rows](super::rows) one register at a time. The edges of length zero at their ends
 //! contribute nothing.
 
+use super::elements::Element;
 use super::particles::GradientRow;
-use super::rows::{Stored, at, cross, dot, load, scaled, vector_at, width};
-use super::{Angle, Factors, Trial};
+use super::rows::{Damping, Stored, at, cross, dot, load, scaled, times, total_and_rest, vector_at, width};
+use super::{Angle, Terms, Trial};
 use crate::cloth::Grid;
 use crate::cpu::Real;
 use pulp::{Arch, Simd, WithSimd};
@@ -33,6 +34,8 @@ pub struct GradientRows<T> {
 struct Work<T> {
     vertical: [Vec<T>; 2],
     horizontal: [Vec<T>; 2],
+    /// Lengths at the start of the frame, shape \[W'\].
+    before: Vec<T>,
 }
 
 /// The vertical edges of this row, from its own stretch, shear and bend.
@@ -67,7 +70,7 @@ impl<T: Real> GradientRows<T> {
 impl<T: Real> Work<T> {
     fn new(stride: usize) -> Self {
         let edges = || [(); 2].map(|()| vec![T::zero(); 4 * stride]);
-        Self { vertical: edges(), horizontal: edges() }
+        Self { vertical: edges(), horizontal: edges(), before: vec![T::zero(); stride] }
     }
 }
 
@@ -123,33 +126,42 @@ impl<T: Real> WithSimd for EdgeRow<'_, '_, T> {
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { trial, i, stored, edges, work } = self;
         let Grid { h, w } = trial.grid;
-        let Factors { vertical, horizontal, shear, bend } = trial.factors();
-        let Work { vertical: [v, next_v], horizontal: [e, next_e] } = work;
-        let (straight, square) =
-            (Angles { simd, stored, angle: bend }, Angles { simd, stored, angle: shear });
+        let Terms { vertical, horizontal, shear, vertical_bend, horizontal_bend } = trial.terms();
+        let Work { vertical: [v, next_v], horizontal: [e, next_e], before } = work;
+        let angles = |angle, element| Angles { simd, stored, angle, factors: trial.stiffness(i, element) };
         edges.fill(T::zero());
         let block = 3 * stored.stride;
         load(simd, trial, (i, 1, w - 1), stored, e);
         invert(simd, stored, e);
-        stretch(simd, e, horizontal, stored, &mut edges[HORIZONTAL * block..]);
+        let damping = Damping::of(simd, trial, (i, 1, w - 1), stored, before);
+        let factors = trial.stiffness(i, Element::Right);
+        let of_edges = Stretch { simd, stored, factor: horizontal, factors, damping };
+        of_edges.add(e, &mut edges[HORIZONTAL * block..]);
+        let straight = angles(horizontal_bend, Element::StraightRight);
         straight.add((&e[1..], e), edges, (HORIZONTAL * block + 1, HORIZONTAL * block));
         if i + 1 == h {
             return;
         }
         load(simd, trial, (i, w, w), stored, v);
         invert(simd, stored, v);
-        stretch(simd, v, vertical, stored, &mut edges[VERTICAL * block..]);
+        let damping = Damping::of(simd, trial, (i, w, w), stored, before);
+        let factors = trial.stiffness(i, Element::Down);
+        let of_edges = Stretch { simd, stored, factor: vertical, factors, damping };
+        of_edges.add(v, &mut edges[VERTICAL * block..]);
         load(simd, trial, (i + 1, 1, w - 1), stored, next_e);
         invert(simd, stored, next_e);
         for right in 0..2 {
-            square.add((&v[right..], e), edges, (VERTICAL * block + right, HORIZONTAL * block));
-            square.add((&v[right..], next_e), edges, (VERTICAL * block + right, NEXT_HORIZONTAL * block));
+            let corner = |lower| angles(shear, Element::corner(lower, right == 1));
+            let to = VERTICAL * block + right;
+            corner(false).add((&v[right..], e), edges, (to, HORIZONTAL * block));
+            corner(true).add((&v[right..], next_e), edges, (to, NEXT_HORIZONTAL * block));
         }
         if i + 2 == h {
             return;
         }
         load(simd, trial, (i + 1, w, w), stored, next_v);
         invert(simd, stored, next_v);
+        let straight = angles(vertical_bend, Element::StraightDown);
         straight.add((next_v, v), edges, (NEXT_VERTICAL * block, VERTICAL * block));
     }
 }
@@ -182,31 +194,50 @@ fn invert<T: Real, S: Simd>(simd: S, stored: Stored, edges: &mut [T]) {
     }
 }
 
-/// Adds to `to` the gradient of `factor (|e| - 1)^2`, which is taken as 0 for an edge of length zero.
-#[inline(always)]
-fn stretch<T: Real, S: Simd>(simd: S, edges: &[T], factor: T, stored: Stored, to: &mut [T]) {
-    let (zero, one) = (T::splat(simd, T::zero()), T::splat(simd, T::one()));
-    let twice = T::splat(simd, factor + factor);
-    for k in 0..stored.count / width::<T, S>() {
-        let place = k * width::<T, S>();
-        let e = vector_at::<T, S>(edges, place, stored.stride);
-        let length = T::sqrt_lanes(simd, dot::<T, S>(simd, e, e));
-        let slope = T::div_lanes(simd, T::sub_lanes(simd, length, one), length);
-        // A NaN length also fails the comparison, but the edge itself carries the NaN on.
-        let slope = T::select_greater(simd, (length, zero), T::mul_lanes(simd, twice, slope), zero);
-        add_at(simd, to, (place, stored.stride), (e, slope));
+/// The stretch of a row of edges.
+#[derive(Clone, Copy)]
+struct Stretch<'a, T, S> {
+    simd: S,
+    stored: Stored,
+    factor: T,
+    /// Shape \[W'\].
+    factors: Option<&'a [T]>,
+    damping: Option<Damping<'a, T>>,
+}
+
+impl<T: Real, S: Simd> Stretch<'_, T, S> {
+    /// Adds the gradient to `to`. It is taken as 0 for an edge of length zero.
+    #[inline(always)]
+    fn add(self, edges: &[T], to: &mut [T]) {
+        let Self { simd, stored, factor, factors, damping } = self;
+        let zero = T::splat(simd, T::zero());
+        let twice = T::splat(simd, factor + factor);
+        for k in 0..stored.count / width::<T, S>() {
+            let place = k * width::<T, S>();
+            let e = vector_at::<T, S>(edges, place, stored.stride);
+            let length = T::sqrt_lanes(simd, dot::<T, S>(simd, e, e));
+            let (total, rest) = total_and_rest::<T, S>(simd, damping, place);
+            let excess = T::sub_lanes(simd, T::mul_lanes(simd, total, length), rest);
+            let slope = T::mul_lanes(simd, twice, T::div_lanes(simd, excess, length));
+            let slope = times::<T, S>(simd, slope, factors, place);
+            // A NaN length also fails the comparison, but the edge itself carries the NaN on.
+            let slope = T::select_greater(simd, (length, zero), slope, zero);
+            add_at(simd, to, (place, stored.stride), (e, slope));
+        }
     }
 }
 
 /// The energy of an angle, for pairs of edges along a row.
 #[derive(Clone, Copy)]
-struct Angles<T, S> {
+struct Angles<'a, T, S> {
     simd: S,
     stored: Stored,
     angle: Angle<T>,
+    /// Shape \[W'\].
+    factors: Option<&'a [T]>,
 }
 
-impl<T: Real, S: Simd> Angles<T, S> {
+impl<T: Real, S: Simd> Angles<'_, T, S> {
     /// Adds the gradients with respect to the edges `u` and `w` [4, W'] of each pair to the two places in
     /// `edges`.
     ///
@@ -215,7 +246,8 @@ impl<T: Real, S: Simd> Angles<T, S> {
     /// undefined and the gradient is taken as 0, as it is for an edge of length zero.
     #[inline(always)]
     fn add(self, (u, w): (&[T], &[T]), edges: &mut [T], (to_u, to_w): (usize, usize)) {
-        let Self { simd, stored: Stored { stride, count }, angle: Angle { factor, rest, parallel } } = self;
+        let Self { simd, stored: Stored { stride, count }, angle, factors } = self;
+        let Angle { factor, rest, parallel } = angle;
         let (zero, least) = (T::splat(simd, T::zero()), T::splat(simd, T::min_positive_value()));
         let twice = T::splat(simd, factor + factor);
         let (rest, limit) = (T::splat(simd, rest), T::splat(simd, parallel));
@@ -231,6 +263,7 @@ impl<T: Real, S: Simd> Angles<T, S> {
             let above = T::select_greater(simd, (sine, zero), bent, parallel);
             let below = T::select_greater(simd, (sine, zero), sine, T::max_lanes(simd, cosine, least));
             let ratio = T::mul_lanes(simd, twice, T::div_lanes(simd, above, below));
+            let ratio = times::<T, S>(simd, ratio, factors, place);
             // Dividing by the square first avoids the product of two large factors for edges of almost no
             // length.
             let (along_u, along_w) = (cross::<T, S>(simd, u, c), cross::<T, S>(simd, c, w));

@@ -6,8 +6,12 @@
 //! does not change when the whole cloth moves, so a particle's own (diagonal) block is minus the sum of its
 //! others.
 
-use super::rows::{Stored, any_normal, at, cross, dot, load, normalise, scaled, vector_at, width};
-use super::{Angle, Factors, Trial};
+use super::elements::Element;
+use super::rows::{
+    Damping, Stored, any_normal, at, cross, dot, load, normalise, scaled, times, total_and_rest, vector_at,
+    width,
+};
+use super::{Angle, Terms, Trial};
 use crate::cloth::{Grid, terms};
 use crate::cpu::Real;
 use crate::cpu::matmul::LANES;
@@ -100,6 +104,8 @@ pub struct Hessian {
 struct Work {
     vertical: [Vec<f64>; 2],
     horizontal: [Vec<f64>; 2],
+    /// Lengths at the start of the frame, shape \[W'\].
+    before: Vec<f64>,
 }
 
 impl Hessian {
@@ -110,7 +116,8 @@ impl Hessian {
         let (len, mut values) = (LANES + grid.h * PLANES * stored.stride, Vec::new());
         memory::reserve(&mut values, len, "a Hessian")?;
         values.resize(len, 0.0);
-        Ok(Self { grid, stored, values, work: Work { vertical: edges(), horizontal: edges() } })
+        let before = vec![0.0; stored.stride];
+        Ok(Self { grid, stored, values, work: Work { vertical: edges(), horizontal: edges(), before } })
     }
 
     /// Computes the Hessian at a trial, as if the handles were free.
@@ -179,10 +186,9 @@ impl WithSimd for Fill<'_, '_> {
         let Self { trial, projection, hessian } = self;
         let Hessian { grid: Grid { h, w }, stored, values, work } = hessian;
         let (h, w, stored) = (*h, *w, *stored);
-        let Factors { vertical, horizontal, shear, bend } = trial.factors();
-        let terms = Terms { simd, stored, projection };
-        let (straight, square) = (bend, shear);
-        let Work { vertical: [v, next_v], horizontal: [e, next_e] } = work;
+        let Terms { vertical, horizontal, shear, vertical_bend, horizontal_bend } = trial.terms();
+        let terms = Adds { simd, stored, projection };
+        let Work { vertical: [v, next_v], horizontal: [e, next_e], before } = work;
         let (mut v, mut next_v, mut e, mut next_e) = (v, next_v, e, next_e);
         let row = PLANES * stored.stride;
         values[LANES..][..row].fill(0.0);
@@ -193,9 +199,15 @@ impl WithSimd for Fill<'_, '_> {
         for i in 0..h {
             let here = LANES + i * row;
             let next = here + row;
-            terms.stretch(e, horizontal, (values, terms.plane(here, RIGHT)));
+            let factors = |element| trial.stiffness(i, element);
+            let damping = Damping::of(simd, trial, (i, 1, w - 1), stored, before);
+            terms.stretch(
+                e,
+                (horizontal, factors(Element::Right), damping),
+                (values, terms.plane(here, RIGHT)),
+            );
             terms.angle(
-                straight,
+                (horizontal_bend, factors(Element::StraightRight)),
                 (&e[1..], e),
                 values,
                 [terms.plane(here, RIGHT) + 1, terms.plane(here, RIGHT)],
@@ -207,7 +219,12 @@ impl WithSimd for Fill<'_, '_> {
             );
             if i + 1 < h {
                 values[next..][..row].fill(0.0);
-                terms.stretch(v, vertical, (values, terms.plane(here, DOWN)));
+                let damping = Damping::of(simd, trial, (i, w, w), stored, before);
+                terms.stretch(
+                    v,
+                    (vertical, factors(Element::Down), damping),
+                    (values, terms.plane(here, DOWN)),
+                );
                 load(simd, trial, (i + 1, 1, w - 1), stored, next_e);
                 terms.normalise(next_e);
                 let (down, right, below) =
@@ -217,21 +234,21 @@ impl WithSimd for Fill<'_, '_> {
                 // The four corners of each cell. Their two edges share a particle, which leaves three pairs
                 // of their ends.
                 terms.angle(
-                    square,
+                    (shear, factors(Element::UpperLeft)),
                     (v, e),
                     values,
                     [down, right],
                     [(down_left, Mixed::Plus), (right, Mixed::MinusTransposed), (down, Mixed::Minus)],
                 );
                 terms.angle(
-                    square,
+                    (shear, factors(Element::UpperRight)),
                     (&v[1..], e),
                     values,
                     [down + 1, right],
                     [(right, Mixed::Plus), (down + 1, Mixed::Plus), (down_right, Mixed::Minus)],
                 );
                 terms.angle(
-                    square,
+                    (shear, factors(Element::LowerLeft)),
                     (v, next_e),
                     values,
                     [down, below],
@@ -242,7 +259,7 @@ impl WithSimd for Fill<'_, '_> {
                     ],
                 );
                 terms.angle(
-                    square,
+                    (shear, factors(Element::LowerRight)),
                     (&v[1..], next_e),
                     values,
                     [down + 1, below],
@@ -257,7 +274,7 @@ impl WithSimd for Fill<'_, '_> {
                 load(simd, trial, (i + 1, w, w), stored, next_v);
                 terms.normalise(next_v);
                 terms.angle(
-                    straight,
+                    (vertical_bend, factors(Element::StraightDown)),
                     (next_v, v),
                     values,
                     [terms.plane(next, DOWN), terms.plane(here, DOWN)],
@@ -286,13 +303,13 @@ enum Mixed {
 }
 
 #[derive(Clone, Copy)]
-struct Terms<S> {
+struct Adds<S> {
     simd: S,
     stored: Stored,
     projection: Projection,
 }
 
-impl<S: Simd> Terms<S> {
+impl<S: Simd> Adds<S> {
     /// Returns where a plane begins in the row of particles that starts at `start`.
     #[inline(always)]
     fn plane(self, start: usize, plane: usize) -> usize {
@@ -308,19 +325,27 @@ impl<S: Simd> Terms<S> {
         }
     }
 
-    /// Adds the second derivatives of `factor (|e| - 1)^2`: 2 along the edge, and 2 (1 - 1 / |e|) across it,
-    /// which is negative for a compressed edge. The block of the edge's two ends is minus that of the edge.
+    /// Adds the second derivatives of the stretch of edges ([`terms::Edge::hessian`]): 2 (1 + t) along the edge, and
+    /// 2 (1 + t - r / |e|) across it, which is negative for a compressed edge. The block of the edge's two ends is minus that of
+    /// the edge.
     #[inline(always)]
-    fn stretch(self, edges: &[f64], factor: f64, (values, to): (&mut [f64], usize)) {
+    fn stretch(
+        self,
+        edges: &[f64],
+        (factor, factors, damping): (f64, Option<&[f64]>, Option<Damping<'_, f64>>),
+        (values, to): (&mut [f64], usize),
+    ) {
         let Self { simd, stored: Stored { stride, count }, projection } = self;
-        let (zero, one) = (simd.splat_f64s(0.0), simd.splat_f64s(1.0));
+        let zero = simd.splat_f64s(0.0);
         let twice = simd.splat_f64s(-2.0 * factor);
         for k in 0..count / width::<f64, S>() {
             let place = k * width::<f64, S>();
             let d = vector_at::<f64, S>(edges, place, stride);
             let inverse = at::<f64, S>(edges, place + 3 * stride);
-            let across = projection.of(simd, simd.sub_f64s(one, inverse));
-            let along = simd.mul_f64s(twice, simd.sub_f64s(one, across));
+            let (total, rest) = total_and_rest::<f64, S>(simd, damping, place);
+            let twice = times::<f64, S>(simd, twice, factors, place);
+            let across = projection.of(simd, simd.sub_f64s(total, simd.mul_f64s(rest, inverse)));
+            let along = simd.mul_f64s(twice, simd.sub_f64s(total, across));
             let across = f64::select_greater(simd, (inverse, zero), simd.mul_f64s(twice, across), zero);
             for row in 0..3 {
                 let of_d = simd.mul_f64s(along, d[row]);
@@ -347,7 +372,7 @@ impl<S: Simd> Terms<S> {
     #[inline(always)]
     fn angle(
         self,
-        Angle { factor, rest, parallel }: Angle<f64>,
+        (Angle { factor, rest, parallel }, factors): (Angle<f64>, Option<&[f64]>),
         (edges_u, edges_w): (&[f64], &[f64]),
         values: &mut [f64],
         ends: [usize; 2],
@@ -389,6 +414,7 @@ impl<S: Simd> Terms<S> {
             let difference = projection.of(simd, simd.mul_f64s(s, simd.add_f64s(cosine, one)));
             let normal = simd.mul_f64s(half, simd.add_f64s(sum, difference));
             let radial = simd.mul_f64s(kept, delta);
+            let twice = times::<f64, S>(simd, twice, factors, place);
             for (to, m, e, by) in [(ends[0], m_u, u, by_u), (ends[1], m_w, w, by_w)] {
                 let factor = simd.mul_f64s(twice, simd.mul_f64s(by, by));
                 let (normal, radial) = (simd.mul_f64s(factor, normal), simd.mul_f64s(factor, radial));

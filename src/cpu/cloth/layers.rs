@@ -371,7 +371,7 @@ impl<'a, T: Real> Search<'a, T> {
         };
         let largest = largest(|patch| patch.radius + patch.spread) + largest(|patch| patch.way.length());
         let side = range + 2.0 * largest;
-        let elastic = Elastic::new(grid, start.cloth.material);
+        let elastic = Elastic::new(grid, start.cloth.material, start.cloth.damping);
         let tiles = FlatTiles::new(grid, &x, &way, range);
         Self { start, settings, elastic, x, base, way, patches, tiles, range, largest, side }
     }

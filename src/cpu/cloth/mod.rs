@@ -8,7 +8,7 @@
 mod cells;
 mod contacts;
 mod curvature;
-mod cut;
+mod elements;
 mod embed;
 mod energy;
 mod flat_tiles;
@@ -31,7 +31,7 @@ pub use cells::{Cells, Placed, Walk};
 pub use contacts::{Approach, Contacts};
 pub(super) use curvature::generic_local_model;
 pub use curvature::{CurvatureRows, LocalModel, local_model};
-pub use cut::Cut;
+pub use elements::Elements;
 pub use embed::embed;
 pub use energy::energy;
 pub(super) use energy::generic_energy;
@@ -52,6 +52,7 @@ pub use wind::add_wind;
 use super::Real;
 use crate::cloth::terms::{self, Elastic};
 use crate::cloth::{Grid, Mark, Material};
+use elements::Element;
 use vector::{add, at, sub};
 
 /// One cloth at a trial acceleration: everything that its energy depends on.
@@ -61,6 +62,8 @@ pub struct Trial<'a, T> {
     pub grid: Grid,
     /// Energy coefficients.
     pub material: Material,
+    /// Damping of the stretch of its edges \[frames\].
+    pub damping: f64,
     /// Positions at the start of the frame \[edges\], shape [3, H, W].
     pub x: &'a [T],
     /// Displacements of the trial \[edges\], shape [3, H, W]. They are kept separate from `x`: in single
@@ -75,11 +78,11 @@ pub struct Trial<'a, T> {
     pub marks: &'a [Mark],
     /// Its mass over their number ([`masses`]), shape [H, W].
     pub masses: &'a [T],
-    /// The edges and angles that the cloth has, unless it has those of the whole grid ([`Cut::of`]).
-    pub cut: Option<&'a Cut<T>>,
+    /// The edges and angles that the cloth has, unless it has those of the whole grid, all evenly stiff ([`Elements::of`]).
+    pub elements: Option<&'a Elements<T>>,
 }
 
-impl<T: Real> Trial<'_, T> {
+impl<'a, T: Real> Trial<'a, T> {
     /// Returns the vector from particle p to q at the trial acceleration.
     #[inline(always)]
     fn edge(&self, p: usize, q: usize) -> [T; 3] {
@@ -87,24 +90,31 @@ impl<T: Real> Trial<'_, T> {
         add(sub(at(self.x, n, q), at(self.x, n, p)), sub(at(self.shift, n, q), at(self.shift, n, p)))
     }
 
-    /// Returns the terms of one vertical edge, one horizontal edge, one corner and one bend.
-    fn factors(&self) -> Factors<T> {
-        let Elastic { vertical, horizontal, shear, bend } = Elastic::new(self.grid, self.material);
-        Factors {
-            vertical: T::of(vertical.factor),
-            horizontal: T::of(horizontal.factor),
-            shear: Angle::new(shear),
-            bend: Angle::new(bend),
+    /// Returns the terms of one vertical edge, one horizontal edge, one corner and one bend along either axis.
+    fn terms(&self) -> Terms<T> {
+        let elastic = Elastic::new(self.grid, self.material, self.damping);
+        Terms {
+            vertical: T::of(elastic.vertical.factor),
+            horizontal: T::of(elastic.horizontal.factor),
+            shear: Angle::new(elastic.shear),
+            vertical_bend: Angle::new(elastic.vertical_bend),
+            horizontal_bend: Angle::new(elastic.horizontal_bend),
         }
+    }
+
+    /// Returns how stiff the elements of one kind are that begin in row `i`, shape \[W'\]; `None` if all are as the material.
+    fn stiffness(&self, i: usize, element: Element) -> Option<&'a [T]> {
+        self.elements.map(|elements| elements.row(i, element))
     }
 }
 
 /// The numbers of [`Elastic`] in the precision of the cloth.
-struct Factors<T> {
+struct Terms<T> {
     vertical: T,
     horizontal: T,
     shear: Angle<T>,
-    bend: Angle<T>,
+    vertical_bend: Angle<T>,
+    horizontal_bend: Angle<T>,
 }
 
 /// The energy of an angle, `factor (angle - rest)^2`.

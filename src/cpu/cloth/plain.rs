@@ -4,7 +4,7 @@
 use super::Trial;
 use super::vector::at;
 use crate::cloth::EnergyTerms;
-use crate::cloth::terms::{Angle, Ends, bends, corners, edges, particles};
+use crate::cloth::terms::{Angle, Edge, Elastic, Ends, bends, corners, edges, particles};
 use glam::{DMat3, DVec3};
 
 /// The energy L of a cloth at a trial acceleration, its gradient, and its second derivatives along directions.
@@ -23,16 +23,18 @@ pub struct PlainTotal {
 pub fn plain_total(trial: &Trial<'_, f64>, directions: &[f64]) -> PlainTotal {
     let mut sum = Sum::new(*trial, directions);
     let has = |ends: &Ends| ends.iter().all(|&p| !trial.marks[p].is_outside());
-    for (ends, edge) in edges(trial.grid, trial.material).into_iter().filter(|(ends, _)| has(ends)) {
+    let elastic = Elastic::new(trial.grid, trial.material, trial.damping);
+    for (ends, edge) in edges(trial.grid, elastic, trial.marks).into_iter().filter(|(ends, _)| has(ends)) {
         let e = sum.edge(ends);
+        let edge = Edge { before: sum.edge_before(ends).length(), ..edge };
         sum.total.energy.stretch += edge.energy(e);
         sum.add_elastic([ends], [edge.gradient(e)], [[edge.hessian(e)]]);
     }
     let has = |(pair, _): &([Ends; 2], Angle)| pair.iter().all(has);
-    for (pair, angle) in corners(trial.grid, trial.material).into_iter().filter(has) {
+    for (pair, angle) in corners(trial.grid, elastic, trial.marks).into_iter().filter(has) {
         sum.total.energy.shear += sum.add_angle(pair, angle);
     }
-    for (pair, angle) in bends(trial.grid, trial.material).into_iter().filter(has) {
+    for (pair, angle) in bends(trial.grid, elastic, trial.marks).into_iter().filter(has) {
         sum.total.energy.bend += sum.add_angle(pair, angle);
     }
     for (p, particle) in particles(trial.marks, trial.f).into_iter().enumerate() {
@@ -64,6 +66,11 @@ impl<'a> Sum<'a> {
     /// Returns the edge between two particles at the trial.
     fn edge(&self, [p, q]: Ends) -> DVec3 {
         self.trial.edge(p, q).into()
+    }
+
+    /// Returns the edge between two particles at the start of the frame.
+    fn edge_before(&self, [p, q]: Ends) -> DVec3 {
+        vector(self.trial.x, q) - vector(self.trial.x, p)
     }
 
     /// Adds the derivatives of the energy of an angle, and returns the energy.

@@ -4,7 +4,6 @@
 //! [`crate::cpu::elementary`], these functions contain neither closures nor iterator adapters.
 
 use super::Trial;
-use super::cut::Element;
 use crate::cloth::Grid;
 use crate::cpu::Real;
 use crate::cpu::matmul::LANES;
@@ -136,8 +135,8 @@ pub(super) fn load<T: Real, S: Simd>(
             place = (place + width::<T, S>()).min(count);
         }
     }
-    if let Some(cut) = trial.cut {
-        let has = cut.row(i, if step == 1 { Element::Right } else { Element::Down });
+    if let Some(elements) = trial.elements {
+        let has = elements.edges(i, step != 1);
         for component in 0..3 {
             let mut place = 0;
             for edge in T::lanes_mut::<S>(&mut edges[component * stored.stride..][..stored.count]) {
@@ -145,5 +144,88 @@ pub(super) fn load<T: Real, S: Simd>(
                 place += width::<T, S>();
             }
         }
+    }
+}
+
+/// The damping of a row of edges: its coefficient \[frames\], and their lengths at the start of the frame, shape \[W'\].
+#[derive(Clone, Copy)]
+pub(super) struct Damping<'a, T> {
+    coefficient: T,
+    before: &'a [T],
+}
+
+impl<'a, T: Real> Damping<'a, T> {
+    /// Returns the damping of the edges that [`load`] loads, with `before` as memory; `None` if there is none.
+    #[inline(always)]
+    pub fn of<S: Simd>(
+        simd: S,
+        trial: &Trial<'_, T>,
+        (i, step, count): (usize, usize, usize),
+        stored: Stored,
+        before: &'a mut [T],
+    ) -> Option<Self> {
+        if trial.damping == 0.0 {
+            return None;
+        }
+        let Grid { h, w } = trial.grid;
+        let mut place = 0;
+        for to in T::lanes_mut::<S>(&mut before[..stored.count]) {
+            let mut square = T::splat(simd, T::zero());
+            for component in 0..3 {
+                let from = (component * h + i) * w;
+                let (x, x_to) = (&trial.x[from..][..count], &trial.x[from + step..][..count]);
+                let e = T::sub_lanes(
+                    simd,
+                    T::load_partial(simd, &x_to[place..]),
+                    T::load_partial(simd, &x[place..]),
+                );
+                square = T::fma(simd, e, e, square);
+            }
+            *to = T::sqrt_lanes(simd, square);
+            place = (place + width::<T, S>()).min(count);
+        }
+        Some(Self { coefficient: T::of(trial.damping), before })
+    }
+
+    /// Returns 1 + t and the rest lengths r = 1 + t |e0| of the edges from `place` on ([`terms::Edge`](crate::cloth::terms::Edge)).
+    #[inline(always)]
+    pub fn total_and_rest<S: Simd>(self, simd: S, place: usize) -> (T::Lanes<S>, T::Lanes<S>) {
+        let (one, coefficient) = (T::splat(simd, T::one()), T::splat(simd, self.coefficient));
+        let rest = T::fma(simd, coefficient, at::<T, S>(self.before, place), one);
+        (T::add_lanes(simd, one, coefficient), rest)
+    }
+
+    /// Returns `t (l - |e0|)^2` for edges of lengths l from `place` on.
+    #[inline(always)]
+    pub fn energy<S: Simd>(self, simd: S, place: usize, length: T::Lanes<S>) -> T::Lanes<S> {
+        let change = T::sub_lanes(simd, length, at::<T, S>(self.before, place));
+        T::mul_lanes(simd, T::splat(simd, self.coefficient), T::mul_lanes(simd, change, change))
+    }
+}
+
+/// Returns 1 + t and r for edges of this damping t, see [`Damping::total_and_rest`].
+#[inline(always)]
+pub(super) fn total_and_rest<T: Real, S: Simd>(
+    simd: S,
+    damping: Option<Damping<'_, T>>,
+    place: usize,
+) -> (T::Lanes<S>, T::Lanes<S>) {
+    match damping {
+        Some(damping) => damping.total_and_rest(simd, place),
+        None => (T::splat(simd, T::one()), T::splat(simd, T::one())),
+    }
+}
+
+/// Multiplies a register by the factors from `place` on, if there are any.
+#[inline(always)]
+pub(super) fn times<T: Real, S: Simd>(
+    simd: S,
+    value: T::Lanes<S>,
+    factors: Option<&[T]>,
+    place: usize,
+) -> T::Lanes<S> {
+    match factors {
+        Some(factors) => T::mul_lanes(simd, value, at::<T, S>(factors, place)),
+        None => value,
     }
 }

@@ -1,7 +1,7 @@
 //! The Hessian of a flat sheet's energy, inverted by a cosine transform or factored: the starting point of
 //! quasi-Newton methods.
 
-use crate::cloth::{Cloth, Grid, Material};
+use crate::cloth::{Cloth, Grid};
 use crate::cpu::Real;
 use crate::cpu::matmul::{LANES, Start, Target, Term, product};
 use crate::settings::TENSION;
@@ -77,26 +77,34 @@ fn eigenvalue(grid: Grid, cloth: &Cloth, (k, l): (usize, usize)) -> f64 {
     let (Grid { h, w }, material) = (grid, cloth.material);
     let (mu_h, mu_w) = (mu(h, k), mu(w, l));
     let n = (h * w) as f64;
-    let stretch = mu_h / ((h - 1) * w) as f64 + mu_w / (h * (w - 1)) as f64;
+    let ([down, across], [bend_down, bend_across]) = (damped(cloth), material.bends());
+    let stretch = down * mu_h / ((h - 1) * w) as f64 + across * mu_w / (h * (w - 1)) as f64;
     (1.0 + cloth.contact_curvature()) / n
-        + 2.0 * material.stretch * stretch
-        + 2.0 * material.bend / n * (mu_h * mu_h + mu_w * mu_w)
+        + 2.0 * stretch
+        + 2.0 / n * (bend_down * mu_h * mu_h + bend_across * mu_w * mu_w)
         + 4.0 * material.shear / n * (mu_h + mu_w)
 }
 
+/// Returns the coefficients of the stretch along the height and along the width, with what the damping adds to them.
+fn damped(cloth: &Cloth) -> [f64; 2] {
+    cloth.material.stretches().map(|coefficient| (1.0 + cloth.damping) * coefficient)
+}
+
 /// Returns the eigenvalues of mode (k, l) along t_1, t_2 and the normal.
-fn eigenvalues_of_axes(grid: Grid, material: Material, (k, l): (usize, usize)) -> [f64; 3] {
-    let (Grid { h, w }, Material { stretch, shear, bend }) = (grid, material);
+fn eigenvalues_of_axes(grid: Grid, cloth: &Cloth, (k, l): (usize, usize)) -> [f64; 3] {
+    let (Grid { h, w }, material) = (grid, cloth.material);
     let (mu_h, mu_w) = (mu(h, k), mu(w, l));
     let n = (h * w) as f64;
-    let (along_h, along_w) = (2.0 * stretch / ((h - 1) * w) as f64, 2.0 * stretch / (h * (w - 1)) as f64);
-    let tangential = |along: f64, own: f64, other: f64| {
-        1.0 / n + along * (own + TENSION * other) + 8.0 * shear * other / n + 2.0 * bend * other * other / n
+    let ([down, across], [bend_down, bend_across]) = (damped(cloth), material.bends());
+    let (along_h, along_w) = (2.0 * down / ((h - 1) * w) as f64, 2.0 * across / (h * (w - 1)) as f64);
+    let tangential = |along: f64, own: f64, other: f64, bend: f64| {
+        let shear = 8.0 * material.shear * other / n;
+        1.0 / n + along * (own + TENSION * other) + shear + 2.0 * bend * other * other / n
     };
-    let normal = (1.0 + 2.0 * TENSION * stretch) / n
+    let normal = (1.0 + 2.0 * TENSION * material.stretch) / n
         + TENSION * (along_h * mu_h + along_w * mu_w)
-        + 2.0 * bend * (mu_h * mu_h + mu_w * mu_w) / n;
-    [tangential(along_h, mu_h, mu_w), tangential(along_w, mu_w, mu_h), normal]
+        + 2.0 * (bend_down * mu_h * mu_h + bend_across * mu_w * mu_w) / n;
+    [tangential(along_h, mu_h, mu_w, bend_across), tangential(along_w, mu_w, mu_h, bend_down), normal]
 }
 
 impl<T: Real> Cosines<T> {
@@ -203,8 +211,7 @@ impl<T: Real> CoRotatedHessian<T> {
     /// Builds the inverse Hessian of one cloth with the tables of its grid.
     pub fn new(cosines: &Arc<Cosines<T>>, cloth: &Cloth) -> Self {
         let grid = cosines.grid;
-        let inverse =
-            |axis: usize| cosines.inverses(&|mode| eigenvalues_of_axes(grid, cloth.material, mode)[axis]);
+        let inverse = |axis: usize| cosines.inverses(&|mode| eigenvalues_of_axes(grid, cloth, mode)[axis]);
         Self {
             inverses: [0, 1, 2].map(inverse),
             held: cloth.held(),
@@ -265,10 +272,13 @@ impl FactoredRestHessian {
         // Measured on 300x300 to 1000x1000 particles: the fill grows with their logarithm.
         let each = (160 * grid.particles().ilog2() as usize).saturating_sub(1000);
         memory::check(grid.particles().saturating_mul(each), "the factors of a Hessian at rest")?;
-        let (n, Material { stretch, shear, bend }) = ((h * w) as f64, cloth.material);
-        let along = |length: usize, lines: usize, d: f64, d2: f64| {
-            d * (2.0 * stretch / ((length - 1) * lines) as f64 + 4.0 * shear / n) + d2 * 2.0 * bend / n
+        let (n, material) = ((h * w) as f64, cloth.material);
+        let ([down, across], [bend_down, bend_across]) = (damped(cloth), material.bends());
+        let along = |length: usize, lines: usize, [stretch, bend]: [f64; 2], d: f64, d2: f64| {
+            d * (2.0 * stretch / ((length - 1) * lines) as f64 + 4.0 * material.shear / n)
+                + d2 * 2.0 * bend / n
         };
+        let (vertical, horizontal) = ([down, bend_down], [across, bend_across]);
         let held = cloth.held();
         let mut is_held = vec![false; grid.particles()];
         held.iter().for_each(|&p| is_held[p] = true);
@@ -281,14 +291,15 @@ impl FactoredRestHessian {
             }
             // The lower triangle: particles further down or to the right.
             for k in i..(i + 3).min(h) {
-                let mut value = along(h, w, second_difference(h, k, i), square_of_it(h, k, i));
+                let mut value = along(h, w, vertical, second_difference(h, k, i), square_of_it(h, k, i));
                 if k == i {
-                    value += 1.0 / n + along(w, h, second_difference(w, j, j), square_of_it(w, j, j));
+                    value +=
+                        1.0 / n + along(w, h, horizontal, second_difference(w, j, j), square_of_it(w, j, j));
                 }
                 triplets.push(Triplet::new(k * w + j, q, value));
             }
             for l in j + 1..(j + 3).min(w) {
-                let value = along(w, h, second_difference(w, l, j), square_of_it(w, l, j));
+                let value = along(w, h, horizontal, second_difference(w, l, j), square_of_it(w, l, j));
                 triplets.push(Triplet::new(i * w + l, q, value));
             }
         }

@@ -81,7 +81,7 @@ impl Iterate {
         let &[batch, _, n] = grad.shape() else { unreachable!("a gradient has three axes") };
         let [base, external] = fields_in_one(context, "base and external", grad.shape())?;
         let a = Tensor::zeros(context, "a", grad.shape())?;
-        let marks = Tensor::from_slice(context, "marks", &[batch, n], marks)?;
+        let marks = Tensor::from_slice(context, "marks", &[batch, n, 2], marks)?;
         Ok(Self { grad, hidden, base, external, total: None, marks, a })
     }
 
@@ -103,7 +103,7 @@ impl Iterate {
         let &[batch, 3, n] = a.shape() else { panic!("an acceleration is [B, 3, n]: {:?}", a.shape()) };
         assert_eq!([grad, base, external].map(Tensor::len), [a.len(); 3]);
         assert!(total.as_ref().is_none_or(|total| total.len() == a.len()));
-        assert_eq!(marks.len(), batch * n);
+        assert_eq!(marks.len(), 2 * batch * n);
         assert!(hidden.as_ref().is_none_or(|hidden| hidden.shape() == [2, 3 * batch, n]));
         (3 * batch, n)
     }

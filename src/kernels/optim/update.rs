@@ -67,7 +67,7 @@ impl Update {
         Ok(Self {
             moves: [kernel(0.0, 0.0)?, kernel(1.0, 0.0)?],
             proposes: [kernel(0.0, 1.0)?, kernel(1.0, 1.0)?],
-            nothing: Tensor::zeros(context, "no head", &[1])?,
+            nothing: Tensor::zeros(context, "no head", &[2])?,
         })
     }
 

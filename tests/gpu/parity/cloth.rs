@@ -1,9 +1,9 @@
 //! Helpers shared by the tests of the cloth and optimizer kernels.
 
-use crate::cloths::jagged;
+use crate::cloths::{jagged, make_uneven};
 use crate::common::{context, noise, poisoned, tensor, widened};
 use fnopt::cloth::{Air, Cloth, Grid, Mark, Material, Model, Repulsion, State};
-use fnopt::cpu::cloth::{Cut, Trial, masses};
+use fnopt::cpu::cloth::{Elements, Trial, masses};
 use fnopt::gpu::Tensor;
 use fnopt::kernels::cloth::{self, ClothParams};
 use fnopt::kernels::optim::Iterate;
@@ -15,20 +15,25 @@ pub const WIND: [[f32; 3]; 3] = [[0.3, -0.2, 0.1], [0.0, 0.0, 0.0], [-0.5, 0.4, 
 pub const PAIRS: [(usize, usize); 10] =
     [(0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (1, 3), (2, 2), (2, 3), (3, 3)];
 
-/// Builds cloths with different materials, air and handles. The second is not a full rectangle.
+/// Builds cloths with different materials, air and handles. The second is not a full rectangle, the third not even.
 pub fn model(grid: Grid, batch: usize) -> Model {
     let (h, w) = (grid.h, grid.w);
     let cloth = |b: usize| Cloth {
-        material: Material { stretch: 1000.0 / (b + 1) as f64, shear: 8.0 + b as f64, bend: 0.5 },
+        material: Material {
+            stretch: 1000.0 / (b + 1) as f64,
+            shear: 8.0 + b as f64,
+            bend: 0.5,
+            ..Material::PAPER
+        },
         gravity: [0.02 * b as f64, -0.01, -0.07],
         air: [Air { density: 0.3, drag: 0.1 }, Air { density: 0.0, drag: 0.2 }, Air::default()][b],
-        repulsion: None,
-        self_contact: None,
         handles: [vec![0, (h - 1) * w], vec![w / 2], vec![w - 1, h * w - 1, h * w / 2]][b].clone(),
-        bodies: Vec::new(),
         mask: (b == 1).then(|| jagged(grid)),
+        ..Cloth::default()
     };
-    Model { grid, cloths: (0..batch).map(cloth).collect() }
+    let mut model = Model { grid, cloths: (0..batch).map(cloth).collect() };
+    model.cloths.iter_mut().skip(2).for_each(|cloth| make_uneven(grid, cloth));
+    model
 }
 
 /// Adds repulsion to all cloths but the second.
@@ -82,7 +87,8 @@ pub fn constants(model: &Model) -> Tensor {
 
 /// Uploads what the particles are.
 pub fn marks(model: &Model) -> Tensor {
-    Tensor::from_slice(context(), "marks", &[model.batch(), model.grid.particles()], &model.marks()).unwrap()
+    let shape = [model.batch(), model.grid.particles(), 2];
+    Tensor::from_slice(context(), "marks", &shape, &model.marks()).unwrap()
 }
 
 /// Creates the unknown of a frame, filled with NaN except for the marks.
@@ -152,7 +158,7 @@ pub struct Doubles {
     model: Model,
     marks: Vec<Mark>,
     masses: Vec<f64>,
-    cuts: Vec<Option<Cut<f64>>>,
+    elements: Vec<Option<Elements<f64>>>,
     x: Vec<f64>,
     shift: Vec<f64>,
     a: Vec<f64>,
@@ -165,8 +171,8 @@ impl Doubles {
         let shift = shift(model, fields[1], fields[2]);
         let [x, _, a, f] = fields.map(widened);
         let (grid, marks) = (model.grid, model.marks());
-        let cuts = marks.chunks_exact(grid.particles()).map(|marks| Cut::of(grid, marks)).collect();
-        Self { model: model.clone(), masses: masses(grid, &marks), marks, cuts, x, shift, a, f }
+        let elements = marks.chunks_exact(grid.particles()).map(|marks| Elements::of(grid, marks)).collect();
+        Self { model: model.clone(), masses: masses(grid, &marks), marks, elements, x, shift, a, f }
     }
 
     /// Returns the cloths with accelerations changed by `step` times a direction [B, 3, n] that is 0 at handles.
@@ -182,13 +188,14 @@ impl Doubles {
         Trial {
             grid: self.model.grid,
             material: self.model.cloths[b].material,
+            damping: self.model.cloths[b].damping,
             x: &self.x[at.clone()],
             shift: &self.shift[at.clone()],
             a: &self.a[at.clone()],
             f: &self.f[at],
             marks: &self.marks[n * b..n * (b + 1)],
             masses: &self.masses[n * b..n * (b + 1)],
-            cut: self.cuts[b].as_ref(),
+            elements: self.elements[b].as_ref(),
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::cloth::{constants, field, iterate, model};
 use crate::common::{assert_close, cases, context, device, largest, noise, poisoned, read, run, tensor};
-use fnopt::cloth::{Grid, Material, Model};
+use fnopt::cloth::{Cloth, Grid, Material, Model};
 use fnopt::kernels::optim::cosine_columns::squared_frequencies;
 use fnopt::kernels::optim::cosine_rows::{fields_shape, table};
 use fnopt::kernels::optim::{CosineColumns, CosineDirections, CosineRows, directions};
@@ -20,18 +20,28 @@ fn cosines(n: usize) -> Vec<f64> {
 
 /// Returns the eigenvalue of one of the six fields in mode (k, l), of a share of the stiffness across
 /// an edge and along the normal.
-fn eigenvalue(grid: Grid, material: Material, field: usize, (k, l): (usize, usize)) -> f64 {
+fn eigenvalue(grid: Grid, cloth: &Cloth, field: usize, (k, l): (usize, usize)) -> f64 {
     let (h, w, n) = (grid.h as f64, grid.w as f64, grid.particles() as f64);
-    let Material { stretch, shear, bend } = material;
+    let Material { stretch, shear, .. } = cloth.material;
+    let ([of_u, of_v], [down, across]) = (cloth.material.stretches(), cloth.material.bends());
+    let twice = 2.0 * (1.0 + cloth.damping);
     let (m, q) = (2.0 - 2.0 * (PI * k as f64 / h).cos(), 2.0 - 2.0 * (PI * l as f64 / w).cos());
-    let (w_u, w_v, tau) = (2.0 * stretch / ((h - 1.0) * w), 2.0 * stretch / (h * (w - 1.0)), TENSION);
+    let (w_u, w_v, tau) = (twice * of_u / ((h - 1.0) * w), twice * of_v / (h * (w - 1.0)), TENSION);
     match field {
-        3 => 1.0 / n + w_u * (m + tau * q) + 8.0 * shear * q / n + 2.0 * bend * q * q / n,
-        4 => 1.0 / n + w_v * (q + tau * m) + 8.0 * shear * m / n + 2.0 * bend * m * m / n,
+        3 => 1.0 / n + w_u * (m + tau * q) + 8.0 * shear * q / n + 2.0 * across * q * q / n,
+        4 => 1.0 / n + w_v * (q + tau * m) + 8.0 * shear * m / n + 2.0 * down * m * m / n,
         5 => {
-            (1.0 + 2.0 * TENSION * stretch) / n + tau * (w_u * m + w_v * q) + 2.0 * bend * (m * m + q * q) / n
+            (1.0 + 2.0 * TENSION * stretch) / n
+                + tau * (w_u * m + w_v * q)
+                + 2.0 * (down * m * m + across * q * q) / n
         }
-        _ => 1.0 / n + w_u * m + w_v * q + 2.0 * bend / n * (m * m + q * q) + 4.0 * shear / n * (m + q),
+        _ => {
+            1.0 / n
+                + w_u * m
+                + w_v * q
+                + 2.0 / n * (down * m * m + across * q * q)
+                + 4.0 * shear / n * (m + q)
+        }
     }
 }
 
@@ -79,8 +89,8 @@ fn expected(model: &Model, b: usize, grad: &[f32], axes: &[f32]) -> [Vec<f64>; 2
         let free = |p: usize| f64::from(u8::from(marks[p].is_free()));
         let of = |p: usize| (0..3).map(|c| weights(p)[c] * f64::from(grad[c * n + p])).sum::<f64>();
         let values: Vec<f64> = (0..n).map(|p| free(p) * of(p)).collect();
-        let material = model.cloths[b].material;
-        let y = divided(grid, &values, &|mode| eigenvalue(grid, material, field, mode));
+        let cloth = &model.cloths[b];
+        let y = divided(grid, &values, &|mode| eigenvalue(grid, cloth, field, mode));
         let out = if field < 3 { &mut spectral } else { &mut rotated };
         for (p, y) in y.iter().enumerate() {
             (0..3).for_each(|c| out[c * n + p] -= free(p) * weights(p)[c] * y);

@@ -61,7 +61,8 @@ fn rest_has_no_gradient_but_inertia() {
         // A right angle differs from its constant by a rounding.
         let count = grid.particles() as f64;
         let atol = 100.0 * ROUNDING / count;
-        assert!(largest(&expected) < 0.3 / count, "at rest the gradient is that of inertia alone");
+        // The densest particle has twice the mass of others.
+        assert!(largest(&expected) < 2.0 * 0.3 / count, "at rest the gradient is that of inertia alone");
         assert_close(
             &format!("gradient at rest {batch} x {grid}"),
             &found,

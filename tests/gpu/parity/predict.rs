@@ -37,7 +37,7 @@ fn slots_beyond_the_targets_are_those_of_the_last() {
     let (grid, batch) = cases().next().unwrap();
     let model = model(grid, batch);
     let iterate = iterate(&model);
-    iterate.marks.write(context(), &vec![u32::MAX - 1; batch * grid.particles()]);
+    iterate.marks.write(context(), &vec![u32::MAX - 1; 2 * batch * grid.particles()]);
     let [x, v] = [0.0, 1.0].map(|value| upload("input", &model, &vec![value; 3 * batch * grid.particles()]));
     let targets = tensor("targets", &[4, 3], &[[0.0; 3], [0.0; 3], [0.0; 3], [5.0, 6.0, 7.0]].concat());
     run(|schedule| kernel.push(schedule, StateTensors { x: &x, v: &v, targets: &targets }, &iterate));

@@ -6,6 +6,7 @@ use super::cloth::{constants, field, iterate, model};
 use crate::common::{assert_close, cases, context, device, largest, poisoned, read, run, widened};
 use fnopt::cloth::Grid;
 use fnopt::cpu::optim::minimizer;
+use fnopt::kernels::cloth::ClothParams;
 use fnopt::kernels::optim::{LbfgsMemory, QuasiNewton};
 use fnopt::settings::LbfgsSettings;
 use fnopt::sim::Optimizer;
@@ -64,7 +65,8 @@ fn constants_of_other_cloths_are_refused() {
     let _turn = device();
     let grid = Grid { h: 12, w: 10 };
     let (model, plan) = (model(grid, 2), QuasiNewton::new(context(), SETTINGS, (grid, 2)).unwrap());
-    let (iterate, memory, cloths) = (iterate(&model), memory(grid, 2, 5), poisoned("cloths", &[3, 16]));
+    let (iterate, memory, cloths) =
+        (iterate(&model), memory(grid, 2, 5), poisoned("cloths", &[3, ClothParams::LEN]));
     let pushed = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
         run(|schedule| plan.push(schedule, 0, (&iterate, &cloths), &memory));
     }));
