@@ -14,6 +14,7 @@ let steps = 0; // single frames still to compute
 let due = 0; // when the next frame is to begin [ms]
 let shown = -1; // the last frame in the plots
 let ended = false;
+let scenes = [];
 
 /** Shows a message, or none. */
 function say(text) {
@@ -49,24 +50,32 @@ function wanted() {
   return { scene: get("scene").value, solver: get("solver").value, iterations: number("iterations"), grid: number("grid") };
 }
 
-/** Loads a scene; returns whether that worked. */
+/** Says what happens in the scene that is chosen. */
+function describe() {
+  get("description").textContent = scenes.find(({ name }) => name === get("scene").value)?.description ?? "";
+}
+
+/** Loads a scene and shows it in form and address. */
 async function load({ scene, ...options }) {
   say(null);
   get("status").textContent = "Setting up";
   // So that this can be read meanwhile.
   await new Promise((done) => setTimeout(done, 30));
-  if (ended) return false;
+  if (ended) return;
   try {
     page.load(scene, JSON.stringify(options));
   } catch (error) {
+    get("status").textContent = "Choose a scene";
     fail(error);
-    return false;
+    return;
   }
-  const entries = Object.entries({ scene, ...options }).filter(([, value]) => value !== null);
+  const asked = { scene, solver: null, iterations: null, grid: null, ...options };
+  for (const [id, value] of Object.entries(asked)) if (value !== null || id !== "solver") get(id).value = value ?? "";
+  describe();
+  const entries = Object.entries(asked).filter(([, value]) => value !== null);
   history.replaceState(null, "", `?${new URLSearchParams(entries)}`);
   restart();
   showSettings(JSON.parse(page.settings()));
-  return true;
 }
 
 /** Shows an error that the page survives, unless the program has ended. */
@@ -151,7 +160,7 @@ function tick(now) {
 }
 
 /** Lists the scenes in the form. */
-function list(scenes) {
+function list() {
   const group = (label, entries) => {
     const options = entries.map(({ name, refused }) => {
       const option = new Option(refused ? `${name} (needs a file)` : name, name);
@@ -184,11 +193,9 @@ async function start() {
   }
   globalThis.fnopt = { page, load }; // for the console
   get("device").textContent = `Device: ${page.device()}`;
-  const scenes = JSON.parse(page.scenes());
-  list(scenes);
-  const describe = () => {
-    get("description").textContent = scenes.find(({ name }) => name === get("scene").value)?.description ?? "";
-  };
+  scenes = JSON.parse(page.scenes());
+  list();
+  describe();
   for (const id of ["scene", "solver", "iterations", "grid"]) {
     get(id).disabled = false;
     get(id).addEventListener("change", () => {
@@ -218,9 +225,7 @@ async function start() {
   for (const id of ["scene", "solver", "iterations", "grid"]) if (asked.has(id)) get(id).value = asked.get(id);
   const first = wanted();
   const text = (id) => (asked.has(id) ? asked.get(id) : first[id]);
-  const loaded = await load({ ...first, scene: text("scene"), solver: text("solver") });
-  if (!loaded && !ended) get("status").textContent = "Choose a scene";
-  describe();
+  await load({ ...first, scene: text("scene"), solver: text("solver") });
   requestAnimationFrame(tick);
 }
 

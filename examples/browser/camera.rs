@@ -29,7 +29,7 @@ impl Camera {
         let low = points.clone().fold(DVec3::INFINITY, DVec3::min);
         let high = points.fold(DVec3::NEG_INFINITY, DVec3::max);
         let (centre, radius) = ((low + high) / 2.0, (high - low).length() / 2.0);
-        Self { centre, radius: radius.max(0.1), zoom: 1.0, turn: 0.5, rise: 0.3, aspect }
+        Self { centre, radius: radius.max(0.1), zoom: 1.2, turn: 2.6, rise: 0.3, aspect }
     }
 
     /// Circles the centre by these angles \[rad\].

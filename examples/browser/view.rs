@@ -179,7 +179,10 @@ impl View {
         for (at, (k, _)) in (1..).zip(&bodies) {
             draw(&meshes.bodies[*k], at..at + 1);
         }
-        draw(&self.mark, 1 + bodies.len() as u32..looks.len() as u32);
+        let marks = 1 + bodies.len() as u32..looks.len() as u32;
+        if !marks.is_empty() {
+            draw(&self.mark, marks);
+        }
     }
 }
 

@@ -52,8 +52,8 @@ def pixels(png):
             left, up = (row[x - channels] if x >= channels else 0), above[x]
             corner = above[x - channels] if x >= channels else 0
             guess = left + up - corner
-            paeth = min((left, up, corner), key=lambda value: abs(guess - value))
-            row[x] = (row[x] + [0, left, up, (left + up) // 2, paeth][method]) & 255
+            nearest = min((left, up, corner), key=lambda value: abs(guess - value))
+            row[x] = (row[x] + [0, left, up, (left + up) // 2, nearest][method]) & 255
         rows.append([tuple(row[x : x + channels]) for x in range(0, stride, channels)])
         above = row
     return rows
@@ -128,8 +128,7 @@ class Page:
 def energies(page, report):
     """The first frames of the default scene have the energies of the CPU path."""
     frames = {frame["frame"]: frame["energy_total"] for frame in report["per_frame"]}
-    page.open(scene="default", solver="fnopt", iterations=10, paused=1)
-    page.ready()
+    page.begin(solver="fnopt", iterations=10, grid="")
     for frame, energy in frames.items():
         found = page.steps(1)
         assert found["frame"] == frame and abs(found["energy"] / energy - 1) < 1e-3, (frame, energy, found["energy"])
@@ -287,26 +286,26 @@ def without_webgpu(page, _):
 
 def lost(page, _):
     """The loss of the device is told."""
-    identifier = page.browser.before_pages(
-        """const open = GPUAdapter.prototype.requestDevice;
-        GPUAdapter.prototype.requestDevice = async function (...all) { return (globalThis.device = await open.apply(this, all)); };"""
-    )
-    page.open(**QUICK)
+    page.begin(playing=True)
     page.reach(1)
     page.browser.run("device.destroy()")
     page.browser.wait(lambda: "device was lost" in page.message(), 20, f"a message, not {page.message()}")
-    page.browser.forget(identifier)
 
 
-CHECKS = [energies, picture, pause_and_step, every_scene, stiffness, dragging, mistakes, not_finite, labels]
+# In one page as far as possible, since compiling the kernels takes longest.
+CHECKS = [mistakes, picture, pause_and_step, stiffness, dragging, every_scene, energies, not_finite, labels]
 # Those in which the console rightly has errors.
-FAULTS = [without_webgpu, lost]
+FAULTS = [lost, without_webgpu]
+# Keeps the device where `lost` finds it.
+KEEP_DEVICE = """const open = GPUAdapter.prototype.requestDevice;
+GPUAdapter.prototype.requestDevice = async function (...all) { return (globalThis.device = await open.apply(this, all)); };"""
 
 
 def main():
     folder, report = pathlib.Path(sys.argv[1]), json.loads(pathlib.Path(sys.argv[2]).read_text())
     wanted, failed = sys.argv[3:], []
     with served(folder) as address, tempfile.TemporaryDirectory() as profile, Browser(profile, (900, 700)) as browser:
+        browser.before_pages(KEEP_DEVICE)
         page = Page(browser, address)
         for check in CHECKS + FAULTS:
             if wanted and check.__name__ not in wanted:
