@@ -156,31 +156,49 @@ impl Page {
         self.stale = true;
     }
 
-    /// Grabs the handle at a place on the canvas. Whether there is one.
-    pub fn grab(&mut self, x: f64, y: f64) -> bool {
-        let Some((session, _)) = &self.running else { return false };
+    /// Grabs the handle at a place on the canvas, or else the cloth there. Whether there is either.
+    pub fn grab(&mut self, x: f64, y: f64) -> Result<bool, JsError> {
+        let Some((session, _)) = &mut self.running else { return Ok(false) };
         // In parts of the smaller side, so that near is near both ways.
         let sides = DVec2::new(self.camera.aspect, 1.0) / self.camera.aspect.min(1.0);
-        let away = |at: DVec3| Some(((self.camera.place(at)? - DVec2::new(x, y)) * sides).length());
+        let camera = &self.camera;
+        let away = |at: DVec3| Some(((camera.place(at)? - DVec2::new(x, y)) * sides).length());
         let near = session.handles().filter_map(|(p, at)| Some((away(at)?, p, at)));
         let nearest = near.filter(|(away, ..)| *away <= REACH).min_by(|a, b| a.0.total_cmp(&b.0));
-        let Some((_, p, at)) = nearest else { return false };
+        let found = nearest.map(|(_, p, at)| (p, at)).or_else(|| {
+            // Of several layers, the one in front.
+            let (n, cloth) = (session.setup.model.grid.particles(), &session.setup.model.cloths[0]);
+            let particles = (0..n).filter(|p| cloth.contains(*p)).map(|p| (p, session.particle(p)));
+            let near = particles.filter(|(_, at)| away(*at).is_some_and(|away| away <= 0.5 * REACH));
+            let towards = camera.outward();
+            near.max_by(|a, b| a.1.dot(towards).total_cmp(&b.1.dot(towards)))
+        });
+        let Some((p, at)) = found else { return Ok(false) };
+        if !session.handles().any(|(handle, _)| handle == p) {
+            session.hold(Some(p)).map_err(failed)?;
+        }
         (self.chosen, self.pulled, self.stale) = (Some(p), Some((p, at, true)), true);
-        true
+        Ok(true)
     }
 
-    /// Moves the handle that was grabbed to a place on the canvas, in the plane through it that faces the camera.
+    /// Moves what was grabbed to a place on the canvas, in the plane through it that faces the camera.
     pub fn drag(&mut self, x: f64, y: f64) {
         if let Some((_, at, true)) = &mut self.pulled {
             *at = self.camera.point(DVec2::new(x, y), *at);
         }
     }
 
-    /// Lets the handle that was grabbed go: it stays where the pointer was, as soon as it is there.
-    pub fn release(&mut self) {
-        if let Some((_, _, held)) = &mut self.pulled {
-            *held = false;
+    /// Lets go what was grabbed: a handle stays where the pointer was, as soon as it is there, and the cloth is free again.
+    pub fn release(&mut self) -> Result<(), JsError> {
+        let (Some((session, _)), Some((p, _, held))) = (&mut self.running, &mut self.pulled) else {
+            return Ok(());
+        };
+        *held = false;
+        if session.holds(*p) {
+            session.hold(None).map_err(failed)?;
+            (self.pulled, self.chosen, self.stale) = (None, None, true);
         }
+        Ok(())
     }
 
     /// Chooses the next handle, or the first one. Its number and how many there are: `[k, n]`, or `[]` without handles.

@@ -77,6 +77,8 @@ pub struct Session {
     pub settings: Settings,
     /// How far from where the scene has it each handle is that was dragged \[edges\], by particle.
     dragged: HashMap<usize, DVec3>,
+    /// A particle that is held beside the scene's handles, and where \[edges\].
+    grabbed: Option<(usize, DVec3)>,
     /// The handles and where they are told to be \[edges\].
     targets: Vec<(usize, DVec3)>,
     sweeps: Vec<Sweep>,
@@ -111,6 +113,7 @@ impl Session {
             vertices,
             settings: Settings::default(),
             dragged: HashMap::new(),
+            grabbed: None,
             targets: Vec::new(),
             sweeps: Vec::new(),
             readback,
@@ -132,6 +135,7 @@ impl Session {
         (self.state, self.stats) = (self.setup.start.cast(), None);
         self.anchors = Script::new(&self.setup).anchors().to_vec();
         self.dragged.clear();
+        self.grabbed = None;
         self.apply()?;
         self.solver.set_state(&self.state);
         let control = self.setup.control(0);
@@ -141,8 +145,25 @@ impl Session {
 
     /// Gives the solver the cloth as it is now.
     pub fn apply(&mut self) -> Result<()> {
-        let cloth = self.settings.applied(&self.setup, self.cloth()?);
+        let mut cloth = self.settings.applied(&self.setup, self.cloth()?);
+        self.grabbed = self.grabbed.filter(|(p, _)| !cloth.handles.contains(p));
+        cloth.handles.extend(self.grabbed.map(|(p, _)| p));
         self.solver.set_cloths(&[cloth])
+    }
+
+    /// Holds a particle where it is, or lets the one go that was held.
+    pub fn hold(&mut self, particle: Option<usize>) -> Result<()> {
+        self.grabbed = particle.map(|p| (p, self.particle(p) / self.setup.units.length_m));
+        self.apply()?;
+        let places: HashMap<usize, DVec3> = self.targets.drain(..).chain(self.grabbed).collect();
+        let handles = &self.solver.model().cloths[0].handles;
+        self.targets = handles.iter().filter_map(|p| Some((*p, *places.get(p)?))).collect();
+        Ok(())
+    }
+
+    /// Whether this particle is held, though it is none of the scene's handles.
+    pub fn holds(&self, particle: usize) -> bool {
+        self.grabbed.is_some_and(|(p, _)| p == particle)
     }
 
     fn script(&self) -> Result<Script<'_>> {
@@ -188,6 +209,7 @@ impl Session {
                 *at = (DVec3::from(at.map(f64::from)) + offset).as_vec3().to_array();
             }
         }
+        control.handles.extend(self.grabbed.map(|(_, at)| at.as_vec3().to_array()));
         control.wind.iter_mut().for_each(|wind| *wind = self.settings.wind(&self.setup, *wind));
         self.take(&control);
         self.solver.set_control(&control);
@@ -260,7 +282,11 @@ impl Session {
         let most = FOLLOWING * units.frame_time_s / units.length_m;
         let Some(&(_, at)) = self.targets.iter().find(|(p, _)| *p == particle) else { return true };
         let way = to / units.length_m - at;
-        *self.dragged.entry(particle).or_default() += way.clamp_length_max(most);
+        let step = way.clamp_length_max(most);
+        match &mut self.grabbed {
+            Some((p, at)) if *p == particle => *at += step,
+            _ => *self.dragged.entry(particle).or_default() += step,
+        }
         way.length() <= most
     }
 

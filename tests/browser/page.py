@@ -223,6 +223,18 @@ def dragging(page, _):
     other = page.status()["handles"][1]
     keyed = page.steps(3)["handles"][1]
     assert math.dist(keyed["at_m"], other["at_m"]) > 0.02, (other, keyed)
+    # The cloth itself, which has no handle there and is free again afterwards.
+    page.begin()
+    free = page.steps(1)
+    middle = [sum(side) / 2 for side in zip(*(handle["place"] for handle in free["handles"]))]
+    grab = "fnopt.page.grab(...arguments); return JSON.parse(fnopt.page.status()).handles.at(-1)"
+    where = page.browser.run(grab, middle[0], middle[1] + 0.25)
+    page.browser.run("fnopt.page.drag(...arguments)", *middle)
+    pulled = page.steps(3)["handles"]
+    assert len(pulled) == len(free["handles"]) + 1 and pulled[-1]["particle"] == where["particle"], (where, pulled)
+    assert pulled[-1]["at_m"][2] > where["at_m"][2] + 0.05, (where, pulled)
+    page.browser.run("fnopt.page.release()")
+    assert len(page.steps(1)["handles"]) == len(free["handles"])
     return f"{100 * moved:.0f} cm"
 
 
