@@ -6,7 +6,7 @@ use fnopt::cloth::{Cloth, Control, Grid, State, Sweep};
 use fnopt::glam::DVec3;
 use fnopt::gpu::{Context, Readback};
 use fnopt::network::Weights;
-use fnopt::scene::{Scene, Script, Setup};
+use fnopt::scene::{Motion, Scene, Script, Setup, Start};
 use fnopt::sim::{FrameStats, Optimizer, Solver, Vertices};
 use fnopt::{Error, Result, serde_json::Value, wgpu};
 use std::collections::HashMap;
@@ -15,6 +15,8 @@ use std::collections::HashMap;
 const AHEAD: usize = 2;
 /// Speed with which a handle follows the pointer [m/s].
 const FOLLOWING: f64 = 6.0;
+/// Particles of the finest grid on which a sheet is settled here, where that takes long.
+const SETTLED: usize = 40 * 40;
 /// Largest side of a grid, and most iterations, that the page asks of a device which also draws the browser.
 const LARGEST: u64 = 256;
 const MOST_ITERATIONS: u64 = 500;
@@ -65,8 +67,25 @@ impl Request {
                 scene.regrid(Grid::new(h, w, name)?)?;
             }
         }
+        if scene.start == Start::Settled && scene.grid.particles() > SETTLED {
+            scene.start = settled_coarsely(&scene)?;
+        }
         Ok(Self { optimizer, iterations, scene })
     }
+}
+
+/// Returns the settled drape of a sheet, resampled from a coarser grid.
+fn settled_coarsely(scene: &Scene) -> Result<Start> {
+    let Grid { h, w } = scene.grid;
+    let coarser = (SETTLED as f64 / (h * w) as f64).sqrt();
+    let [h, w] = [h, w].map(|side| ((side as f64 * coarser) as usize).max(8));
+    // The drape hangs from its corners, whatever holds or meets the sheet later.
+    let mut sheet =
+        Scene { motion: Motion::Still, attached: Vec::new(), events: Vec::new(), ..scene.clone() };
+    sheet.bodies.clear();
+    sheet.regrid(Grid::new(h, w, &scene.origin)?)?;
+    let setup = sheet.setup()?;
+    Ok(Start::Vertices(sheet.grid, setup.vertices_m(&setup.start.x)))
 }
 
 /// A scene on its way.
