@@ -26,5 +26,5 @@ rustup target list --installed | grep -qx wasm32-unknown-unknown || skip "the ta
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
 examples/browser/build.sh "$scratch/page"
-cargo run --release --quiet -- rollout --device cpu --iterations 10 --frames 4 --no-pictures --out "$scratch/native"
+cargo run --release --quiet -- rollout --device cpu --iterations 10 --frames 4 --no-pictures --out "$scratch/native" >/dev/null
 python3 tests/browser/page.py "$scratch/page" "$scratch/native/report.json" "$@"
