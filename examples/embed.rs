@@ -44,6 +44,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         });
         pass.set_pipeline(&host.pipeline);
         pass.set_vertex_buffer(0, vertices.tensor().buffer().slice(..));
+        pass.set_vertex_buffer(1, host.look.slice(..));
         pass.set_index_buffer(indices.slice(..), wgpu::IndexFormat::Uint32);
         pass.draw_indexed(0..faces.len() as u32, 0, 0..1);
         drop(pass);

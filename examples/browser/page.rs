@@ -1,185 +1,310 @@
-//! The page: a canvas with the sheet, and a line about the last frame.
+//! What the page's scripts call. Text goes to and fro as JSON; places on the canvas are parts of its width from the left and
+//! of its height from above.
 
-use crate::draw::pipeline;
-use fnopt::gpu::{Context, Readback};
-use fnopt::network::Weights;
-use fnopt::scene::{Scene, Setup};
-use fnopt::sim::{Optimizer, Solver, Vertices};
-use fnopt::wgpu::{self, util::DeviceExt};
+use crate::camera::Camera;
+use crate::notices::Notices;
+use crate::scenes;
+use crate::session::{Request, Session};
+use crate::view::{Meshes, View};
+use fnopt::glam::{DVec2, DVec3};
+use fnopt::gpu::Context;
+use fnopt::serde_json::{Value, json};
+use fnopt::wgpu;
 use std::cell::RefCell;
-use std::error::Error;
-use std::rc::Rc;
-use wasm_bindgen::JsCast;
-use wasm_bindgen::closure::Closure;
+use wasm_bindgen::prelude::wasm_bindgen;
+use wasm_bindgen::{JsCast, JsError};
 
-const BACKGROUND: wgpu::Color = wgpu::Color { r: 0.957, g: 0.957, b: 0.949, a: 1.0 };
-const DEPTH: wgpu::TextureFormat = wgpu::TextureFormat::Depth24Plus;
+/// How near a handle must be to be grabbed, in the smaller side of the canvas.
+const REACH: f64 = 0.06;
 
-/// Starts the simulation; errors are shown in place of the line.
-pub fn start() {
-    std::panic::set_hook(Box::new(|panic| say(&panic.to_string())));
-    wasm_bindgen_futures::spawn_local(async {
-        match Page::open().await {
-            Ok(page) => run(page),
-            Err(error) => say(&error.to_string()),
-        }
-    });
+thread_local!(static PANIC: RefCell<String> = const { RefCell::new(String::new()) });
+
+/// Keeps the text of a panic, which ends the module.
+pub fn keep_panics() {
+    std::panic::set_hook(Box::new(|panic| PANIC.with(|text| *text.borrow_mut() = panic.to_string())));
 }
 
-fn document() -> web_sys::Document {
-    web_sys::window().and_then(|window| window.document()).expect("a page has a document")
+/// Returns the text of the panic that ended the module.
+#[wasm_bindgen]
+pub fn panicked() -> String {
+    PANIC.with(|text| text.borrow().clone())
 }
 
-fn say(line: &str) {
-    let place = document().query_selector("p").ok().flatten();
-    place.expect("the page has a line of text").set_text_content(Some(line));
-}
-
-/// Computes and draws a frame whenever the browser is about to show one.
-fn run(mut page: Page) {
-    type Callback = Closure<dyn FnMut()>;
-    fn ask(callback: &Callback) {
-        let window = web_sys::window().expect("a page has a window");
-        let asked = window.request_animation_frame(callback.as_ref().unchecked_ref());
-        asked.expect("a window shows frames");
-    }
-    let callback: Rc<RefCell<Option<Callback>>> = Rc::default();
-    let again = callback.clone();
-    *callback.borrow_mut() = Some(Closure::new(move || match page.frame() {
-        Ok(()) => ask(again.borrow().as_ref().expect("it was set before it was called")),
-        Err(error) => say(&error.to_string()),
-    }));
-    ask(callback.borrow().as_ref().expect("it was just set"));
-}
-
-struct Page {
-    surface: wgpu::Surface<'static>,
+/// A canvas with a scene.
+#[wasm_bindgen]
+pub struct Page {
     context: Context,
-    setup: Setup,
-    solver: Solver,
-    vertices: Vertices,
-    indices: wgpu::Buffer,
-    pipeline: wgpu::RenderPipeline,
-    depth: wgpu::TextureView,
-    /// Brings the statistics of a frame to the host some frames later.
-    readback: Readback,
-    /// Number of the last frame computed, and of the last whose statistics have arrived.
-    computed: usize,
-    arrived: usize,
+    notices: Notices,
+    view: View,
+    camera: Camera,
+    running: Option<(Session, Meshes)>,
+    /// The handle that was chosen or grabbed last.
+    chosen: Option<usize>,
+    /// A handle on its way, where it is to be, and whether it is still held.
+    pulled: Option<(usize, DVec3, bool)>,
+    /// Whether the canvas no longer shows what is there.
+    stale: bool,
 }
 
+fn failed(error: impl std::fmt::Display) -> JsError {
+    JsError::new(&error.to_string())
+}
+
+#[wasm_bindgen]
 impl Page {
-    async fn open() -> Result<Self, Box<dyn Error>> {
-        let canvas = document().query_selector("canvas").ok().flatten().ok_or("the page has no canvas")?;
-        let canvas: web_sys::HtmlCanvasElement = canvas.dyn_into().map_err(|_| "not a canvas")?;
-        let (width, height) = (canvas.width(), canvas.height());
+    /// Opens the device, to draw on this canvas.
+    pub async fn open(canvas: web_sys::HtmlCanvasElement) -> Result<Page, JsError> {
+        let (width, height) = (canvas.width().max(1), canvas.height().max(1));
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
-        let surface = instance.create_surface(wgpu::SurfaceTarget::Canvas(canvas))?;
-        let options =
-            wgpu::RequestAdapterOptions { compatible_surface: Some(&surface), ..Default::default() };
-        let adapter = instance.request_adapter(&options).await?;
+        let target = wgpu::SurfaceTarget::Canvas(canvas.unchecked_into());
+        let surface = instance.create_surface(target).map_err(failed)?;
+        let options = wgpu::RequestAdapterOptions {
+            power_preference: wgpu::PowerPreference::HighPerformance,
+            compatible_surface: Some(&surface),
+            ..Default::default()
+        };
+        let adapter = instance.request_adapter(&options).await.map_err(failed)?;
         let descriptor = wgpu::DeviceDescriptor {
             required_features: adapter.features() & Context::optional_features(),
             required_limits: adapter.limits(),
             ..Default::default()
         };
-        let (device, queue) = adapter.request_device(&descriptor).await?;
-        let shown = surface.get_default_config(&adapter, width, height).ok_or("the canvas shows nothing")?;
-        surface.configure(&device, &shown);
+        let (device, queue) = adapter.request_device(&descriptor).await.map_err(failed)?;
+        let shown = surface.get_default_config(&adapter, width, height);
+        let mut shown = shown.ok_or_else(|| failed("the device cannot draw on a canvas"))?;
+        shown.alpha_mode = wgpu::CompositeAlphaMode::PreMultiplied;
+        let notices = Notices::of(&device);
+        let context = Context::new(device.clone(), queue).map_err(failed)?;
+        let camera = Camera::on([DVec3::ZERO].into_iter(), f64::from(width) / f64::from(height));
+        let view = View::new(&device, surface, shown);
+        Ok(Self { context, notices, view, camera, running: None, chosen: None, pulled: None, stale: true })
+    }
 
-        let context = Context::new(device.clone(), queue)?;
-        let setup = Scene::default().setup()?;
-        let optimizer = Optimizer::learned(Weights::shipped());
-        let solver = Solver::new(&context, &setup.model, &optimizer, 10)?;
-        solver.set_state(&setup.start.cast());
-        let vertices = solver.vertices()?;
-        vertices.set_view(&setup.vertex_view());
-        let indices = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
-            label: None,
-            contents: bytemuck::cast_slice(&setup.model.grid.faces()),
-            usage: wgpu::BufferUsages::INDEX,
+    /// Returns the name of the device.
+    pub fn device(&self) -> String {
+        self.context.name().to_owned()
+    }
+
+    /// Returns all scenes: `[{"name", "description", "refused", "gallery"}, ..]`, where `refused` is null or why a page cannot
+    /// show the scene.
+    pub fn scenes(&self) -> String {
+        scenes::list().to_string()
+    }
+
+    /// Begins a scene with the options `{"solver", "iterations", "grid"}`. If that fails, the scene before it stays.
+    pub fn load(&mut self, name: &str, options: &str) -> Result<(), JsError> {
+        let request = Request::read(name, options).map_err(failed)?;
+        let session = Session::new(&self.context, &request).map_err(failed)?;
+        let units = session.setup.units;
+        let metres = |at: &[f64; 3]| DVec3::from(units.position_m(*at));
+        let n = session.setup.model.grid.particles();
+        let handles = session.setup.handles.iter().flatten().map(metres);
+        let camera = Camera::on((0..n).map(|p| session.particle(p)).chain(handles), self.camera.aspect);
+        let meshes = Meshes::new(&self.context.device, &request.scene, &session, 2.0 * camera.radius());
+        (self.camera, self.running) = (camera, Some((session, meshes)));
+        (self.chosen, self.pulled, self.stale) = (None, None, true);
+        self.notices.forgive();
+        Ok(())
+    }
+
+    /// Sets `stretch`, `shear` [N/m], `bend` [N m], `density` [kg/m^2], `gravity` [m/s^2], `wind` [m/s] or `wind_direction`
+    /// \[degrees\], from the next frame on.
+    pub fn set(&mut self, field: &str, value: f64) -> Result<(), JsError> {
+        let Some((session, _)) = &mut self.running else { return Ok(()) };
+        session.settings.set(field, value).map_err(failed)?;
+        session.apply().map_err(failed)
+    }
+
+    /// Returns these fields as they are.
+    pub fn settings(&self) -> Result<String, JsError> {
+        let Some((session, _)) = &self.running else { return Ok("{}".to_owned()) };
+        let cloth = session.cloth().map_err(failed)?;
+        let wind = session.wind().map_err(failed)?;
+        Ok(session.settings.values(&session.setup, cloth, wind).to_string())
+    }
+
+    /// Begins the scene again, with the settings as they are.
+    pub fn reset(&mut self) -> Result<(), JsError> {
+        (self.pulled, self.stale) = (None, true);
+        self.notices.forgive();
+        match &mut self.running {
+            Some((session, _)) => session.reset().map_err(failed),
+            None => Ok(()),
+        }
+    }
+
+    /// Makes the canvas as large as this, in pixels.
+    pub fn resize(&mut self, width: u32, height: u32) {
+        let size =
+            [width, height].map(|side| side.clamp(1, self.context.device.limits().max_texture_dimension_2d));
+        if size != self.view.size() {
+            self.view.resize(&self.context.device, size);
+            self.camera.aspect = f64::from(size[0]) / f64::from(size[1]);
+            self.stale = true;
+        }
+    }
+
+    /// Moves the camera around what it looks at, by angles \[rad\].
+    pub fn orbit(&mut self, turn: f64, rise: f64) {
+        self.camera.orbit(turn, rise);
+        self.stale = true;
+    }
+
+    /// Moves the camera nearer by a factor.
+    pub fn zoom(&mut self, factor: f64) {
+        self.camera.zoom(factor);
+        self.stale = true;
+    }
+
+    /// Grabs the handle at a place on the canvas, or else the cloth there. Whether there is either.
+    pub fn grab(&mut self, x: f64, y: f64) -> Result<bool, JsError> {
+        let Some((session, _)) = &mut self.running else { return Ok(false) };
+        // In parts of the smaller side, so that near is near both ways.
+        let sides = DVec2::new(self.camera.aspect, 1.0) / self.camera.aspect.min(1.0);
+        let camera = &self.camera;
+        let away = |at: DVec3| Some(((camera.place(at)? - DVec2::new(x, y)) * sides).length());
+        let near = session.handles().filter_map(|(p, at)| Some((away(at)?, p, at)));
+        let nearest = near.filter(|(away, ..)| *away <= REACH).min_by(|a, b| a.0.total_cmp(&b.0));
+        let found = nearest.map(|(_, p, at)| (p, at)).or_else(|| {
+            // Of several layers, the one in front.
+            let (n, cloth) = (session.setup.model.grid.particles(), &session.setup.model.cloths[0]);
+            let particles = (0..n).filter(|p| cloth.contains(*p)).map(|p| (p, session.particle(p)));
+            let near = particles.filter(|(_, at)| away(*at).is_some_and(|away| away <= 0.5 * REACH));
+            let towards = camera.outward();
+            near.max_by(|a, b| a.1.dot(towards).total_cmp(&b.1.dot(towards)))
         });
-        let depth = device.create_texture(&wgpu::TextureDescriptor {
-            label: None,
-            size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
-            mip_level_count: 1,
-            sample_count: 1,
-            dimension: wgpu::TextureDimension::D2,
-            format: DEPTH,
-            usage: wgpu::TextureUsages::RENDER_ATTACHMENT,
-            view_formats: &[],
-        });
-        let readback = Readback::new(&context, &solver.statistics_tensors(), 3)?;
-        Ok(Self {
-            pipeline: pipeline(&device, shown.format, Some(DEPTH)),
-            depth: depth.create_view(&Default::default()),
-            surface,
-            context,
-            setup,
-            solver,
-            vertices,
-            indices,
-            readback,
-            computed: 0,
-            arrived: 0,
+        let Some((p, at)) = found else { return Ok(false) };
+        if !session.handles().any(|(handle, _)| handle == p) {
+            session.hold(Some(p)).map_err(failed)?;
+        }
+        (self.chosen, self.pulled, self.stale) = (Some(p), Some((p, at, true)), true);
+        Ok(true)
+    }
+
+    /// Moves what was grabbed to a place on the canvas, in the plane through it that faces the camera.
+    pub fn drag(&mut self, x: f64, y: f64) {
+        if let Some((_, at, true)) = &mut self.pulled {
+            *at = self.camera.point(DVec2::new(x, y), *at);
+        }
+    }
+
+    /// Lets go what was grabbed: a handle stays where the pointer was, as soon as it is there, and the cloth is free again.
+    pub fn release(&mut self) -> Result<(), JsError> {
+        let (Some((session, _)), Some((p, _, held))) = (&mut self.running, &mut self.pulled) else {
+            return Ok(());
+        };
+        *held = false;
+        if session.holds(*p) {
+            session.hold(None).map_err(failed)?;
+            (self.pulled, self.chosen, self.stale) = (None, None, true);
+        }
+        Ok(())
+    }
+
+    /// Chooses the next handle, or the first one. Its number and how many there are: `[k, n]`, or `[]` without handles.
+    pub fn choose(&mut self) -> String {
+        let Some((session, _)) = &self.running else { return "[]".to_owned() };
+        let handles: Vec<usize> = session.handles().map(|(p, _)| p).collect();
+        if handles.is_empty() {
+            return "[]".to_owned();
+        }
+        let last = handles.iter().position(|p| Some(*p) == self.chosen);
+        let next = last.map_or(0, |k| (k + 1) % handles.len());
+        (self.chosen, self.stale) = (Some(handles[next]), true);
+        json!([next + 1, handles.len()]).to_string()
+    }
+
+    /// Moves the chosen handle to the right and upwards on the canvas, by parts of what it shows.
+    pub fn nudge(&mut self, right: f64, up: f64) {
+        let (Some((session, _)), Some(chosen)) = (&self.running, self.chosen) else { return };
+        let from = match self.pulled {
+            Some((p, at, _)) if p == chosen => Some(at),
+            _ => session.handles().find(|(p, _)| *p == chosen).map(|(_, at)| at),
+        };
+        let [x, y] = self.camera.axes();
+        self.pulled = from.map(|at| (chosen, at + 2.0 * self.camera.radius() * (right * x + up * y), false));
+    }
+
+    /// Draws what is there, after computing a frame if it is wanted and the device is ready. Whether it computed one.
+    pub fn frame(&mut self, wanted: bool) -> bool {
+        if self.notices.current().is_some() {
+            return false;
+        }
+        self.try_frame(wanted).unwrap_or_else(|error| {
+            let kind = match error {
+                fnopt::Error::NonFinite { .. } => "non-finite",
+                fnopt::Error::Lost(_) => "lost",
+                _ => "error",
+            };
+            self.notices.fault(kind, &error.to_string());
+            false
         })
     }
 
-    fn frame(&mut self) -> Result<(), Box<dyn Error>> {
-        while let Some(stats) = self.readback.try_next(|bytes| self.solver.statistics(bytes))? {
-            self.arrived += 1;
-            let [cloth] = &stats[..] else { unreachable!("one cloth") };
-            let line = format!("frame {}, energy {:.6}", self.arrived, cloth.energy.total());
-            say(&format!("{line} ({})", self.context.name()));
+    fn try_frame(&mut self, wanted: bool) -> fnopt::Result<bool> {
+        let Some((session, meshes)) = &mut self.running else { return Ok(false) };
+        session.collect()?;
+        let wanted = wanted && session.is_ready()?;
+        // The device is behind, or nothing has changed; the canvas keeps its picture.
+        if !wanted && (!self.stale || session.is_behind()) {
+            return Ok(false);
         }
-        if self.computed + 1 == self.setup.frames() {
-            // The motion begins again once everything about the last run has been said.
-            if self.arrived == self.computed {
-                (self.computed, self.arrived) = (0, 0);
-                self.solver.set_state(&self.setup.start.cast());
+        let Some(target) = self.view.target() else { return Ok(false) };
+        if wanted {
+            if let Some((p, at, held)) = self.pulled
+                && session.pull(p, at)
+                && !held
+            {
+                self.pulled = None;
             }
-            return Ok(());
+            session.enter_frame()?;
         }
-        // The device is behind; the canvas keeps its picture.
-        if self.readback.is_full() {
-            return Ok(());
-        }
-        use wgpu::CurrentSurfaceTexture::{Suboptimal, Success};
-        let (Success(target) | Suboptimal(target)) = self.surface.get_current_texture() else {
-            return Ok(());
-        };
-        self.computed += 1;
-        self.solver.set_control(&self.setup.control(self.computed));
-        let view = target.texture.create_view(&Default::default());
+        let queue = &self.context.queue;
         let submission = self.context.submit(|encoder| {
-            self.solver.record(encoder);
-            self.readback.record(encoder);
-            self.vertices.record(encoder);
-            let load = wgpu::LoadOp::Clear(BACKGROUND);
-            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-                color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                    view: &view,
-                    depth_slice: None,
-                    resolve_target: None,
-                    ops: wgpu::Operations { load, store: wgpu::StoreOp::Store },
-                })],
-                depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                    view: &self.depth,
-                    depth_ops: Some(wgpu::Operations {
-                        load: wgpu::LoadOp::Clear(1.0),
-                        store: wgpu::StoreOp::Discard,
-                    }),
-                    stencil_ops: None,
-                }),
-                ..Default::default()
-            });
-            pass.set_pipeline(&self.pipeline);
-            pass.set_vertex_buffer(0, self.vertices.tensor().buffer().slice(..));
-            pass.set_index_buffer(self.indices.slice(..), wgpu::IndexFormat::Uint32);
-            pass.draw_indexed(0..3 * self.setup.model.grid.faces().len() as u32, 0, 0..1);
+            if wanted {
+                session.record(encoder);
+            }
+            session.vertices.record(encoder);
+            self.view.record((encoder, queue), &target, (session, meshes), (&self.camera, self.chosen));
         });
-        self.readback.submitted(&submission);
-        self.context.queue.present(target);
-        Ok(())
+        if wanted {
+            session.submitted(&submission);
+            self.notices.time(queue);
+        }
+        queue.present(target);
+        self.stale = false;
+        Ok(wanted)
+    }
+
+    /// Returns what became of the last frame that has arrived, and why the page cannot go on, if it cannot; see the code for the
+    /// fields.
+    pub fn status(&self) -> String {
+        let fault = self.notices.current().map(|fault| json!({ "kind": fault.kind, "text": fault.text }));
+        let Some((session, _)) = &self.running else { return json!({ "fault": fault }).to_string() };
+        let (frame, _, stats) = session.latest();
+        let setup = &session.setup;
+        let grid = setup.model.grid;
+        let handles = session.handles().map(|(p, target)| {
+            let place = self.camera.place(target).map(|at| [at.x, at.y]);
+            json!({ "particle": p, "target_m": target.to_array(), "at_m": session.particle(p).to_array(), "place": place })
+        });
+        let cloth = &setup.model.cloths[0];
+        let heights = (0..grid.particles()).filter(|p| cloth.contains(*p)).map(|p| session.particle(p).z);
+        json!({
+            "frame": frame,
+            "frames": setup.frames(),
+            "over": session.is_over(),
+            "frame_time_s": setup.units.frame_time_s,
+            "grid": [grid.h, grid.w],
+            "iterations": session.solver.iterations(),
+            "energy": stats.map(|stats| stats.energy.total()),
+            "gradient": stats.map(|stats| stats.gradient_last / stats.gradient_first.max(f64::MIN_POSITIVE)),
+            "stretch": stats.map(|stats| stats.stretch_largest),
+            "lowest_m": heights.fold(f64::INFINITY, f64::min),
+            "took_ms": self.notices.took(),
+            "handles": handles.collect::<Value>(),
+            "fault": fault,
+        })
+        .to_string()
     }
 }

@@ -3,6 +3,7 @@
 
 mod draw;
 
+use draw::{Look, Targets};
 use fnopt::gpu::{Context, Tensor};
 use fnopt::wgpu::{self, util::DeviceExt};
 
@@ -11,12 +12,20 @@ pub struct Host {
     pub device: wgpu::Device,
     pub queue: wgpu::Queue,
     pub pipeline: wgpu::RenderPipeline,
+    /// The second vertex buffer: how the sheet is seen.
+    pub look: wgpu::Buffer,
     target: wgpu::Texture,
     view: wgpu::TextureView,
 }
 
 const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
 const SIZE: u32 = 256;
+/// Along the x axis, y up: a view 2.5 m across, with a light behind the eye.
+const LOOK: Look = Look {
+    clip: [[0.0, 0.0, 0.1, 0.0], [0.0, 0.8, 0.0, 0.0], [-0.8, 0.0, 0.0, 0.0], [0.0, 0.0, 0.5, 1.0]],
+    light: [-0.96, 0.28, 0.0],
+    colour: draw::CLOTH,
+};
 
 impl Host {
     /// Opens a device with the limits of its adapter and the features that fnopt can use. WebGPU's default
@@ -31,7 +40,12 @@ impl Host {
             ..Default::default()
         };
         let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))?;
-        let pipeline = draw::pipeline(&device, FORMAT, None);
+        let pipeline = draw::pipeline(&device, Targets { format: FORMAT, depth: None, samples: 1 });
+        let look = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+            label: None,
+            contents: bytemuck::bytes_of(&LOOK),
+            usage: wgpu::BufferUsages::VERTEX,
+        });
         let target = device.create_texture(&wgpu::TextureDescriptor {
             label: None,
             size: wgpu::Extent3d { width: SIZE, height: SIZE, depth_or_array_layers: 1 },
@@ -43,7 +57,7 @@ impl Host {
             view_formats: &[],
         });
         let view = target.create_view(&Default::default());
-        Ok(Self { device, queue, pipeline, target, view })
+        Ok(Self { device, queue, pipeline, look, target, view })
     }
 
     /// Returns an index buffer.
