@@ -23,12 +23,12 @@ impl Plugin for ClothPlugin {
     }
 }
 
-/// A cloth, in the axes and metres of its entity's transform. Its material is the entity's, and has to be a
+/// A cloth, in the axes and metres of its entity's transform. Its material is the entity's, an opaque
 /// [`StandardMaterial`] without textures: a vertex is a position and a normal.
 #[derive(Component, Clone)]
 #[require(Transform, Visibility, NoFrustumCulling, NoAutomaticBatching)]
 pub struct Cloth {
-    /// Grid, fabric, handles and bodies. One step takes a step of the fixed schedule, which has to be as long.
+    /// Grid, fabric, handles and bodies. A frame of it is a step of the fixed schedule, which has to take as long.
     pub scene: Scene,
     /// The solver.
     pub optimizer: Optimizer,

@@ -24,6 +24,7 @@ use cloth::{Cloth, ClothPlugin, Handles};
 use fnopt::network::Weights;
 use fnopt::scene::Scene;
 use fnopt::sim::Optimizer;
+use std::error::Error;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -45,7 +46,7 @@ struct Options {
     optimizer: Optimizer,
 }
 
-fn options() -> Result<Options> {
+fn options() -> Result<Options, Box<dyn Error>> {
     let mut options = Options { screenshot: None, frames: 90, optimizer: Optimizer::spectral() };
     let mut words = std::env::args().skip(1);
     while let Some(word) = words.next() {
@@ -66,11 +67,19 @@ fn options() -> Result<Options> {
             }
         }
     }
+    if !options.optimizer.runs_on_gpu() {
+        return Err(
+            format!("--solver: expected one that runs on a GPU, found {}", options.optimizer.name()).into()
+        );
+    }
     Ok(options)
 }
 
-fn main() -> Result {
-    let options = options()?;
+fn main() {
+    let options = options().unwrap_or_else(|problem| {
+        eprintln!("error: {problem}");
+        std::process::exit(2)
+    });
     let mut app = App::new();
     match options.screenshot {
         None => app.add_plugins(DefaultPlugins),
@@ -87,13 +96,14 @@ fn main() -> Result {
     };
     app.add_plugins(ClothPlugin)
         .insert_resource(Time::<Fixed>::from_seconds(1.0 / 60.0))
+        // On a slow device the cloth gets slower, and not the picture.
+        .insert_resource(Time::<Virtual>::from_max_delta(Duration::from_millis(50)))
         .insert_resource(options)
         .add_systems(Startup, set_up)
         .add_systems(FixedUpdate, (move_hand, hold).chain())
         .add_systems(Update, shoot.run_if(|options: Res<Options>| options.screenshot.is_some()));
-    match app.run() {
-        AppExit::Success => Ok(()),
-        AppExit::Error(code) => std::process::exit(code.get().into()),
+    if let AppExit::Error(code) = app.run() {
+        std::process::exit(code.get().into())
     }
 }
 
