@@ -1,7 +1,11 @@
 //! Triangle meshes.
 
+use super::gltf::{Triangles, is_gltf};
+use super::read_obj;
+use crate::Result;
 use crate::cloth::Grid;
 use glam::Vec3;
+use std::path::Path;
 
 /// A triangle mesh.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -10,6 +14,17 @@ pub struct Mesh {
     pub positions: Vec<[f32; 3]>,
     /// Triangles as zero-based vertex indices, shape [T, 3], all below V.
     pub faces: Vec<[u32; 3]>,
+}
+
+/// Reads the triangles of an OBJ or glTF file (`.glb`, `.gltf`), by its ending: those of [`read_obj`], or all meshes of the
+/// glTF scene where their nodes place them, y up, in their shape without morph targets, skins and animations.
+pub fn read_mesh(path: impl AsRef<Path>) -> Result<Mesh> {
+    let path = path.as_ref();
+    if !is_gltf(path) {
+        return read_obj(path);
+    }
+    let Triangles { positions, faces, .. } = Triangles::read(path)?;
+    Ok(Mesh { positions, faces })
 }
 
 /// Computes smooth unit normals, shape [V, 3]: the area-weighted mean of the normals of the adjacent

@@ -1,5 +1,6 @@
 //! Meshes with texture coordinates, which a cloth can carry along.
 
+use super::gltf::{Triangles, is_gltf};
 use super::{Polygons, Topology};
 use crate::{Error, Result};
 use std::path::Path;
@@ -9,8 +10,8 @@ const ROUNDING: f64 = 1e-6;
 
 /// A mesh of polygons with texture coordinates, of any shape and order.
 ///
-/// A vertex of the file that has several texture coordinates, at a seam, becomes as many vertices here; one of no face is
-/// left out. Otherwise they keep the order of the file.
+/// A vertex of an OBJ file that has several texture coordinates, at a seam, becomes as many vertices here, as it is in glTF
+/// files already; one of no face is left out. Otherwise they keep the order of the file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RenderMesh {
     topology: Topology,
@@ -19,10 +20,16 @@ pub struct RenderMesh {
 }
 
 impl RenderMesh {
-    /// Reads an OBJ file. Fails if it has no faces, if a corner of one has no texture coordinates, or if one of them is not
-    /// finite or not between 0 and 1.
+    /// Reads an OBJ or glTF file (`.glb`, `.gltf`), by its ending. In glTF all meshes of the scene are one, where their nodes
+    /// place them, in their shape without morph targets, skins and animations. Fails if it has no faces, if a corner of one has
+    /// no texture coordinates, or if one of them is not finite or not between 0 and 1.
     pub fn read(path: impl AsRef<Path>) -> Result<Self> {
-        Self::of(Polygons::read(path.as_ref())?)
+        let path = path.as_ref();
+        if is_gltf(path) {
+            Self::of_triangles(Triangles::read(path)?)
+        } else {
+            Self::of(Polygons::read(path)?)
+        }
     }
 
     /// Returns its polygons and texture coordinates, with normals.
@@ -30,14 +37,45 @@ impl RenderMesh {
         &self.topology
     }
 
-    /// Returns the positions in the file, shape [V, 3].
+    /// Returns the positions in the file, shape [V, 3]; those of glTF are y up.
     pub fn positions(&self) -> &[[f32; 3]] {
         &self.positions
     }
 
-    /// Returns the zero-based number in the file of each vertex, which those along a seam share; shape \[V\].
+    /// Returns the zero-based number in the file of each vertex, which those along a seam of an OBJ share; those of glTF are
+    /// counted through all meshes of the scene. Shape \[V\].
     pub fn sources(&self) -> &[u32] {
         &self.sources
+    }
+
+    fn of_triangles(mesh: Triangles) -> Result<Self> {
+        let Triangles { origin, positions, uv, faces, parts } = &mesh;
+        if parts.iter().all(|part| !part.has_uv) {
+            let expected = "texture coordinates (TEXCOORD_0), which place it on the cloth";
+            return Err(Error::invalid(origin, "meshes", expected, "a mesh without UVs"));
+        }
+        let mut number = vec![None; positions.len()];
+        for &vertex in faces.as_flattened() {
+            number[vertex as usize] = Some(0);
+        }
+        let (mut own, mut sources) = (Vec::new(), Vec::new());
+        for (vertex, number) in number.iter_mut().enumerate().filter(|(_, number)| number.is_some()) {
+            // Here v points down.
+            let [u, v] = uv[vertex];
+            let place = checked([u, 1.0 - v]).ok_or_else(|| {
+                let expected = "finite texture coordinates from 0 to 1 (TEXCOORD_0)";
+                let has_uv = mesh.part(vertex).has_uv;
+                let found = if has_uv { format!("uv [{u}, {v}]") } else { "none".into() };
+                Error::invalid(origin, mesh.place(vertex), expected, found)
+            })?;
+            *number = Some(sources.len() as u32);
+            own.push(place);
+            sources.push(vertex as u32);
+        }
+        let faces = faces.iter().map(|face| face.map(|k| number[k as usize].unwrap_or_default()));
+        let topology = Topology::new(sources.len(), faces)?.with_uv(own)?.with_normals();
+        let positions = sources.iter().map(|&vertex| positions[vertex as usize]).collect();
+        Ok(Self { topology, positions, sources })
     }
 
     fn of(mesh: Polygons<f32>) -> Result<Self> {

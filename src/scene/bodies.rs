@@ -73,7 +73,7 @@ pub enum BodyShape {
 /// Where the mesh of a body comes from.
 #[derive(Clone, Debug, PartialEq)]
 pub enum MeshSource {
-    /// An OBJ file.
+    /// An OBJ file in the scene's axes, or a glTF file (`.glb`, `.gltf`), which is y up.
     File(PathBuf),
     /// The mesh itself.
     Mesh {
@@ -289,7 +289,7 @@ impl MeshSource {
         let build = |vertices: &mut dyn Iterator<Item = [f64; 3]>,
                      faces: &[[u32; 3]],
                      (origin, field): (&str, &str)| {
-            let vertices: Vec<[f64; 3]> = vertices.map(|v| up.to_z_up(v)).collect();
+            let vertices: Vec<[f64; 3]> = vertices.collect();
             let distances = DistanceField::new(&vertices, faces, cells).map_err(|fault| {
                 Error::invalid(
                     origin,
@@ -307,11 +307,15 @@ impl MeshSource {
         };
         match self {
             Self::File(path) => {
-                let mesh = io::read_obj(path)?;
-                let mut vertices = mesh.positions.iter().map(|p| p.map(f64::from));
+                let mesh = io::read_mesh(path)?;
+                // glTF is y up, whatever the scene is.
+                let axes = if io::is_gltf(path) { UpAxis::Y } else { up };
+                let mut vertices = mesh.positions.iter().map(|p| axes.to_z_up(p.map(f64::from)));
                 build(&mut vertices, &mesh.faces, (&path.display().to_string(), "faces"))
             }
-            Self::Mesh { vertices, faces } => build(&mut vertices.iter().copied(), faces, (origin, field)),
+            Self::Mesh { vertices, faces } => {
+                build(&mut vertices.iter().map(|v| up.to_z_up(*v)), faces, (origin, field))
+            }
         }
     }
 }
@@ -332,7 +336,11 @@ fn read_mesh(node: &Node, folder: &Path) -> Result<BodyShape> {
                     .collect::<Result<_>>()?,
             }
         }
-        _ => return Err(node.invalid("either the \"file\" of an .obj, or \"vertices\" and \"faces\"")),
+        _ => {
+            return Err(
+                node.invalid("either the \"file\" of an .obj, .glb or .gltf, or \"vertices\" and \"faces\"")
+            );
+        }
     };
     let cells = node.get_or("cells", CELLS, |n| {
         n.count()

@@ -213,7 +213,7 @@ const ABSENT: [(&str, &str); 34] = [
     ("solver", "it is an option of the command, --solver"),
     ("iterations", "it is an option of the command, --iterations"),
 ];
-const A_MESH: &str = "it is called \"mesh\": the path of an .obj with texture coordinates";
+const A_MESH: &str = "it is called \"mesh\": the path of an .obj, .glb or .gltf with texture coordinates";
 const BODIES: &str =
     "they are called \"bodies\": [{\"shape\": \"sphere\", \"radius_m\": 0.2, \"position_m\": [0, 0, 0]}]";
 const A_PLANE: &str = "it is one of \"bodies\": [{\"shape\": \"plane\", \"position_m\": [0, 0, 0]}]";
@@ -263,15 +263,16 @@ fn read(node: &Node, folder: &Path) -> Result<Scene> {
 
 fn read_mesh(node: &Node, folder: &Path) -> Result<PathBuf> {
     if node.value.is_string() {
-        let is_obj = Path::new(node.text()?).extension().is_some_and(|e| e.eq_ignore_ascii_case("obj"));
-        return if is_obj {
+        let path = Path::new(node.text()?);
+        let is_obj = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("obj"));
+        return if is_obj || io::is_gltf(path) {
             Ok(folder.join(node.text()?))
         } else {
-            Err(node.invalid("the path of an .obj file"))
+            Err(node.invalid("the path of an .obj, .glb or .gltf file"))
         };
     }
     if !node.value.is_object() {
-        return Err(node.invalid("the path of an .obj file, or {\"file\": path}"));
+        return Err(node.invalid("the path of an .obj, .glb or .gltf file, or {\"file\": path}"));
     }
     node.deny_unknown(&["file"])?;
     let file = node.get("file").ok_or_else(|| node.invalid("{\"file\": path}"))?;

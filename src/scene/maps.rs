@@ -89,7 +89,7 @@ impl MapFile {
             let factors = range.array("two factors, of black and of white", Node::number)?;
             match factors.iter().all(|factor| (least..=most).contains(factor)) {
                 true => Ok(Some(factors)),
-                false => Err(range.invalid(&format!("factors from {least} to {most}"))),
+                false => Err(range.invalid(format!("factors from {least} to {most}"))),
             }
         })?;
         match (Picture::is_png(&path), range) {

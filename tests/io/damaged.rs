@@ -1,11 +1,13 @@
 //! Damaged files: errors, not panics.
 
+use super::gltf::Maker;
 use super::waving;
 use fnopt::{
     cloth::Grid,
-    io::{Format, ReadOptions, Trajectory, read_npy, read_obj},
+    io::{Format, ReadOptions, RenderMesh, Trajectory, read_mesh, read_npy, read_obj},
 };
 use proptest::prelude::*;
+use serde_json::{Value, json};
 use std::fs;
 
 /// Passes `bytes` to every reader. Readers may refuse, but not panic.
@@ -17,6 +19,12 @@ fn read_all(bytes: &[u8]) {
         let _ = Trajectory::read(&path, &ReadOptions::default());
         let _ = read_npy(&path);
         let _ = read_obj(&path);
+    }
+    for name in ["x.obj", "x.glb", "x.gltf"] {
+        let path = dir.path().join(name);
+        fs::write(&path, bytes).unwrap();
+        let _ = read_mesh(&path);
+        let _ = RenderMesh::read(&path);
     }
     let frames = dir.path().join("frames");
     fs::create_dir(&frames).unwrap();
@@ -31,11 +39,33 @@ fn samples() -> Vec<Vec<u8>> {
     let path = |format| trajectory.write(dir.path(), "s", format).unwrap();
     let obj = path(Format::Obj).join("00000.obj");
     let others = Format::SINGLE_FILES.map(path);
-    [obj, "tests/data/compressed.npz".into()]
-        .into_iter()
-        .chain(others)
-        .map(|p| fs::read(p).unwrap())
-        .collect()
+    let files = [obj, "tests/data/compressed.npz".into(), path(Format::Glb)].into_iter().chain(others);
+    let meshes = [Maker::triangle().binary(), sparse().text().into_bytes()];
+    files.map(|p| fs::read(p).unwrap()).chain(meshes).collect()
+}
+
+/// Returns a mesh with most of what a description can have.
+fn sparse() -> Maker {
+    let mut maker = Maker::triangle();
+    let (at, values) = (maker.view(&[1u16, 2]), maker.view(&[1.0f32; 6]));
+    maker.document["accessors"][0]["sparse"] = json!({
+        "count": 2, "indices": {"bufferView": at, "componentType": 5123}, "values": {"bufferView": values},
+    });
+    maker.document["nodes"] =
+        json!([{"children": [1], "scale": [1, 2, 3]}, {"mesh": 0, "rotation": [0, 0, 0, 1]}]);
+    maker
+}
+
+/// Returns the places of all numbers in a document.
+fn numbers(value: &Value, path: String, found: &mut Vec<String>) {
+    match value {
+        Value::Number(_) => found.push(path),
+        Value::Array(items) => {
+            items.iter().enumerate().for_each(|(k, v)| numbers(v, format!("{path}/{k}"), found))
+        }
+        Value::Object(fields) => fields.iter().for_each(|(k, v)| numbers(v, format!("{path}/{k}"), found)),
+        _ => {}
+    }
 }
 
 proptest! {
@@ -59,8 +89,31 @@ proptest! {
     }
 
     #[test]
+    fn arbitrary_numbers_in_descriptions_never_panic(
+        changes in proptest::collection::vec((any::<prop::sample::Index>(), prop_oneof![
+            0u64..12,
+            Just(5121), Just(5123), Just(5125), Just(5126),
+            (0u32..64).prop_map(|bit| 1u64 << bit),
+            any::<u64>(),
+        ]), 1..4),
+        mode in 4u32..7,
+    ) {
+        let mut maker = sparse();
+        maker.primitive()["mode"] = mode.into();
+        let mut places = Vec::new();
+        numbers(&maker.document, String::new(), &mut places);
+        for (at, value) in changes {
+            *maker.document.pointer_mut(&places[at.index(places.len())]).unwrap() = value.into();
+        }
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("x.glb");
+        fs::write(&path, maker.binary()).unwrap();
+        let _ = RenderMesh::read(&path);
+    }
+
+    #[test]
     fn mutated_files_never_panic(
-        kind in 0usize..6,
+        kind in 0usize..9,
         changes in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..8),
         from_end in any::<bool>(),
         length in any::<prop::sample::Index>(),

@@ -2,6 +2,7 @@
 
 mod damaged;
 mod embedded;
+mod gltf;
 mod pictures;
 mod scene_formats;
 mod sinks;

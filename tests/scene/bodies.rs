@@ -141,6 +141,32 @@ fn meshes_are_converted_to_grid_units() {
     assert_eq!(again.bodies, scene.bodies);
 }
 
+/// glTF is y up, and an OBJ as the scene is: the same body, whichever axis is up.
+#[test]
+fn gltf_meshes_are_turned_to_the_scene() {
+    use fnopt::io::{Format, Recording, Topology, WriteOptions, write_mesh};
+    let folder = tempfile::tempdir().unwrap();
+    let corner = |k: usize| std::array::from_fn(|c| [-0.2, 0.1, -0.4, 0.2, 0.5, 0.4][2 * c + (k >> c & 1)]);
+    let corners: Vec<[f32; 3]> = (0..8).map(corner).collect();
+    let sides = [[0u32, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
+    let mut recording = Recording::new(folder.path(), Topology::new(8, sides).unwrap(), 60.0).unwrap();
+    recording.push(&corners, &[[0.0; 3]; 8]).unwrap();
+    write_mesh(&recording, folder.path().join("box.obj")).unwrap();
+    for (up, z_up) in [("y", false), ("z", true)] {
+        let options = WriteOptions { z_up, ..Default::default() };
+        recording.write(folder.path(), "box", Format::Glb, &options).unwrap();
+        let body = |file: &str| format!(r#"{{"shape": "mesh", "file": "{file}", "cells": 16}}"#);
+        let bodies = [body("box.obj"), body("box.glb")].join(", ");
+        let text = format!(
+            r#"{{"up": "{up}", "start": "flat", "handles": [], "motion": "none", "bodies": [{bodies}]}}"#
+        );
+        let scene = Scene::parse(&text, "scene.json", folder.path()).unwrap();
+        let setup = scene.setup().unwrap();
+        let [obj, glb] = &setup.model.cloths[0].bodies[..] else { panic!("two bodies") };
+        assert_eq!(obj.shape, glb.shape, "{up} up");
+    }
+}
+
 #[test]
 fn meshes_without_an_inside_are_refused() {
     let folder = tempfile::tempdir().unwrap();

@@ -116,8 +116,14 @@ fn what_is_no_mesh_is_refused() {
         &["bare.obj: mesh: expected texture coordinates", "a mesh without UVs"],
     );
     refused(r#"{"mesh": "far.obj"}"#, &["far.obj: line 3, vertex 1: ", "from 0 to 1", "uv [0, 1.25]"]);
-    refused(r#"{"mesh": "mesh.fbx"}"#, &["scene.json: mesh: expected the path of an .obj file"]);
-    refused(r#"{"mesh": 3}"#, &["mesh: expected the path of an .obj file, or {\"file\": path}"]);
+    refused(
+        r#"{"mesh": "mesh.fbx"}"#,
+        &["scene.json: mesh: expected the path of an .obj, .glb or .gltf file"],
+    );
+    refused(
+        r#"{"mesh": 3}"#,
+        &["mesh: expected the path of an .obj, .glb or .gltf file, or {\"file\": path}"],
+    );
     refused(r#"{"mesh": {"path": "a.obj"}}"#, &["path", "file"]);
     refused(r#"{"mesh": {"file": 3}}"#, &["mesh.file"]);
     refused(r#"{"mehs": "a.obj"}"#, &["mehs", "did you mean mesh"]);
