@@ -1,6 +1,6 @@
 //! Meshes in glTF 2 files, binary (`.glb`) or not (`.gltf`).
 //!
-//! Parsed by hand, as strictly as other files: the usual crate panics on accessors that end beyond their buffers.
+//! Parsed by hand, as strictly as other files: every count is checked against the bytes that are there.
 
 mod accessor;
 mod file;
