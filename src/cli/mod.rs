@@ -15,6 +15,8 @@ mod scenes;
 mod train;
 mod tune;
 mod verify;
+#[cfg(feature = "view")]
+mod view;
 
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
@@ -81,6 +83,16 @@ impl Cli {
 enum Command {
     /// Simulate a scene and write positions, a report and pictures
     Rollout(rollout::Args),
+    /// Open a window in which a scene runs, or recorded frames are played back
+    #[cfg(feature = "view")]
+    View(view::Args),
+    /// Say how to build the window
+    #[cfg(not(feature = "view"))]
+    #[command(hide = true, disable_help_flag = true)]
+    View {
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        _any: Vec<std::ffi::OsString>,
+    },
     /// List the scenes that come with the program, or print one
     Scenes(scenes::Args),
     /// List the fabrics that a material may name, or measure how they bend and drape
@@ -189,6 +201,13 @@ pub fn run(cli: Cli) -> ExitCode {
     let stores = !matches!(cli.command, Command::Tune(_));
     let ending = match cli.command {
         Command::Rollout(args) => rollout::run(&args),
+        #[cfg(feature = "view")]
+        Command::View(args) => view::run(&args),
+        #[cfg(not(feature = "view"))]
+        Command::View { .. } => {
+            let instead = "it is built with `cargo install --path . --features view`";
+            Err(Error::absent("fnopt", "command", "view", instead).into())
+        }
         Command::Scenes(args) => scenes::run(&args),
         Command::Fabrics(args) => fabrics::run(&args),
         Command::Train(args) => train::run(&args),
