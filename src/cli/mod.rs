@@ -170,7 +170,9 @@ const ABSENT_OPTIONS: [(&str, &str); 9] = [
 /// Starts logging to stderr what `FNOPT_LOG` selects, or warnings if it is not set. wgpu's own messages,
 /// which go through the `log` crate, are not included.
 pub fn log_to_stderr() -> Result<()> {
-    let wanted = std::env::var_os(LOG).filter(|wanted| !wanted.is_empty()).unwrap_or("warn".into());
+    let wanted = std::env::var_os(LOG).filter(|wanted| !wanted.is_empty());
+    // The windows' library warns of what desktops lack.
+    let wanted = wanted.unwrap_or("warn,winit=error".into());
     let invalid = |found| Error::invalid(LOG, "filter", "a level such as info, or TARGET=LEVEL,..", found);
     let text = wanted.to_str().ok_or_else(|| invalid(wanted.display().to_string()))?;
     // EnvFilter takes a word that is not a level for the name of a module, and only our own modules log.

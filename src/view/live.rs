@@ -130,9 +130,9 @@ impl Live {
 
     /// Returns the values of the cloth as it is now.
     pub fn values(&self) -> Values {
-        let script = self.script();
-        let control = script.control::<f64>(self.frame + 1);
-        self.changes.values(&self.setup, script.cloth(), control.wind.first().copied().unwrap_or_default())
+        let change = self.setup.changes.iter().rfind(|change| change.frame <= self.entered);
+        let wind = change.map_or(self.setup.wind, |change| change.wind).velocity;
+        self.changes.values(&self.setup, self.script().cloth(), wind)
     }
 
     /// Returns statistics of the last frame that has arrived.
@@ -162,7 +162,7 @@ impl Live {
         own.iter().copied().chain(self.grip.extra(own)).collect()
     }
 
-    /// Returns where the scene leads its handles, and the bodies that are not planes, in the first frame [m].
+    /// Returns where the scene leads its handles, and the bodies that are not planes, in the first frame \[m\].
     pub(super) fn reach(&self) -> Vec<Vec3> {
         let (units, up) = (&self.setup.units, self.setup.up);
         let metres = |at: &[f64; 3]| Vec3::from(up.from_z_up(units.position_m(*at)).map(|c| c as f32));

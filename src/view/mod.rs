@@ -8,6 +8,7 @@ mod changes;
 mod clock;
 mod draw;
 mod grip;
+mod input;
 mod live;
 mod offscreen;
 mod panel;
@@ -37,10 +38,10 @@ use crate::render::shared::{FONT, Lights};
 use crate::render::{Image, write_png};
 use crate::{Error, Result};
 use draw::{Painter, Shown};
-use egui::{Key, PointerButton, Sense};
 use egui_wgpu::ScreenDescriptor;
-use glam::{Vec2, Vec3, vec2};
-use panel::{Panel, Running};
+use glam::{Vec2, Vec3};
+use input::Gesture;
+use panel::Panel;
 use record::free_name;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -93,15 +94,6 @@ pub enum Action {
     Look,
 }
 
-/// What the pointer does beside the panel.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Gesture {
-    /// It leads a particle; the point is in the plane of its movement.
-    Hold(Vec3),
-    Turn,
-    Pan,
-}
-
 /// The state of the window: what it shows, from where, and the panel.
 pub struct Viewer {
     context: Context,
@@ -120,7 +112,7 @@ pub struct Viewer {
     history: History,
     gesture: Option<Gesture>,
     area: Area,
-    /// Pixels per point, and the size of the last picture [px].
+    /// Pixels per point, and the size of the last picture \[px\].
     scale: f32,
     size: [u32; 2],
     /// The panel as triangles.
@@ -266,7 +258,9 @@ impl Viewer {
         (target, size): (&wgpu::TextureView, [u32; 2]),
         elapsed: Duration,
     ) -> Result<egui::PlatformOutput> {
-        self.history.picture_ms.push(1e3 * elapsed.as_secs_f32());
+        if !elapsed.is_zero() {
+            self.history.picture_ms.push(1e3 * elapsed.as_secs_f32());
+        }
         let (egui, mut actions) = (self.egui.clone(), Vec::new());
         let output = egui.run_ui(input, |ui| {
             actions.clear();
@@ -481,117 +475,6 @@ impl Viewer {
         renderer.render(&mut pass, jobs, &screen);
         drop(pass);
         context.queue.submit(commands.into_iter().chain([encoder.finish()]));
-    }
-}
-
-/// What the user does.
-impl Viewer {
-    fn ui(&mut self, ui: &mut egui::Ui, actions: &mut Vec<Action>) {
-        let side = egui::Panel::right("panel").exact_size(panel::WIDTH).resizable(false);
-        side.show(ui, |ui| {
-            egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
-                ui.spacing_mut().slider_width = 130.0;
-                match &self.content {
-                    Content::Live(live) => {
-                        let (clock, history) = (&self.clock, &self.history);
-                        let running = Running { live, clock, history, device: self.context.name() };
-                        self.panel.live(ui, &running, actions);
-                    }
-                    Content::Playback(playback, _) => {
-                        self.panel.playback(ui, (playback, &self.clock), &self.history, actions);
-                    }
-                }
-            });
-        });
-        egui::CentralPanel::no_frame().show(ui, |ui| {
-            let scale = ui.ctx().pixels_per_point();
-            let rect = ui.max_rect();
-            self.scale = scale;
-            self.area = Area {
-                corner: [scale * rect.left(), scale * rect.top()],
-                size: [scale * rect.width(), scale * rect.height()],
-            };
-            let response = ui.interact(rect, ui.scope_id().with("cloth"), Sense::drag());
-            self.point(ui, &response, actions);
-        });
-        self.keys(ui, actions);
-    }
-
-    fn keys(&self, ui: &egui::Ui, actions: &mut Vec<Action>) {
-        if ui.ctx().egui_wants_keyboard_input() {
-            return;
-        }
-        ui.input(|input| {
-            let keys = [
-                (Key::Space, Action::Play(!self.clock.playing)),
-                (Key::ArrowRight, Action::Step),
-                (Key::R, Action::Reset),
-            ];
-            actions.extend(
-                keys.into_iter().filter(|(key, _)| input.key_pressed(*key)).map(|(_, action)| action),
-            );
-        });
-    }
-
-    /// Follows the pointer beside the panel.
-    fn point(&mut self, ui: &egui::Ui, response: &egui::Response, actions: &mut Vec<Action>) {
-        if response.contains_pointer() {
-            let (wheel, pinch) = ui.input(|input| (input.smooth_scroll_delta.y, input.zoom_delta()));
-            self.orbit.zoom((wheel / 300.0).exp() * pinch);
-        }
-        let pointer = response
-            .interact_pointer_pos()
-            .map(|at| vec2(self.scale * at.x - self.area.corner[0], self.scale * at.y - self.area.corner[1]));
-        if response.drag_started()
-            && let Some(pointer) = pointer
-        {
-            self.gesture = Some(self.begin(ui, response, pointer, actions));
-        }
-        let by =
-            self.scale * vec2(response.drag_delta().x, response.drag_delta().y) / self.area.size[1].max(1.0);
-        match (self.gesture, pointer) {
-            (Some(Gesture::Turn), _) => self.orbit.turn(by),
-            (Some(Gesture::Pan), _) => self.orbit.pan(by),
-            (Some(Gesture::Hold(at)), Some(pointer)) => {
-                let to = camera::onto_plane(&self.orbit.camera(self.area.size), pointer, at);
-                actions.push(Action::Drag(to));
-            }
-            _ => {}
-        }
-        if response.drag_stopped() {
-            if let Some(Gesture::Hold(_)) = self.gesture {
-                actions.push(Action::LetGo);
-            }
-            self.gesture = None;
-        }
-    }
-
-    /// Returns what a press of a button begins.
-    fn begin(
-        &self,
-        ui: &egui::Ui,
-        response: &egui::Response,
-        pointer: Vec2,
-        actions: &mut Vec<Action>,
-    ) -> Gesture {
-        let shifted = ui.input(|input| input.modifiers.shift);
-        if shifted || response.dragged_by(PointerButton::Middle) {
-            return Gesture::Pan;
-        }
-        if !response.dragged_by(PointerButton::Primary) {
-            return Gesture::Turn;
-        }
-        let Content::Live(live) = &self.content else { return Gesture::Turn };
-        let positions = live.positions();
-        let camera = self.orbit.camera(self.area.size);
-        let handles = live.handles();
-        match pick::particle(&camera, (pointer, self.scale), &positions, (&self.faces, &handles)) {
-            Some(particle) if live.broken().is_none() => {
-                actions.push(Action::Take(particle));
-                Gesture::Hold(Vec3::from(positions[particle]))
-            }
-            _ => Gesture::Turn,
-        }
     }
 }
 

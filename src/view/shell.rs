@@ -15,8 +15,6 @@ use winit::window::{Window, WindowId};
 
 /// How long a window in which nothing moves waits before it looks whether it is to close.
 const IDLE: Duration = Duration::from_millis(100);
-/// The longest time between two pictures that counts: after a pause of the whole program, time does not jump.
-const LONGEST: Duration = Duration::from_millis(250);
 
 type Open<'a> = Box<dyn FnOnce(Context) -> Result<(Context, Content)> + 'a>;
 
@@ -195,7 +193,7 @@ impl Shown {
             // It is covered, or late.
             _ => return Ok(()),
         };
-        let elapsed = self.last.elapsed().min(LONGEST);
+        let elapsed = self.last.elapsed();
         self.last = Instant::now();
         let view = target.texture.create_view(&Default::default());
         let input = self.input.take_egui_input(&self.window);

@@ -1,7 +1,9 @@
 //! What the pointer does beside the panel.
 
 use super::{FRAME, HANGING, Screen, apart, changed};
-use fnopt::view::egui::{Event, Modifiers, MouseWheelUnit, PointerButton, TouchPhase, vec2};
+use fnopt::view::egui::{
+    Event, Modifiers, MouseWheelSource, MouseWheelUnit, PointerButton, TouchPhase, vec2,
+};
 
 /// Presses a button on a particle, moves the pointer by so many pixels and lets some frames pass.
 fn drag(screen: &mut Screen, particle: usize, by: [f32; 2]) -> [f32; 2] {
@@ -70,6 +72,7 @@ fn a_button_beside_the_cloth_turns_and_the_wheel_zooms() {
         unit: MouseWheelUnit::Point,
         delta: vec2(0.0, 120.0),
         phase: TouchPhase::Move,
+        source: MouseWheelSource::Wheel,
         modifiers: Modifiers::default(),
     };
     screen.events(vec![wheel], FRAME);
