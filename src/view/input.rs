@@ -19,19 +19,10 @@ impl Viewer {
     pub(super) fn ui(&mut self, ui: &mut egui::Ui, actions: &mut Vec<Action>) {
         let side = egui::Panel::right("panel").exact_size(panel::WIDTH).resizable(false);
         side.show(ui, |ui| {
-            ui.spacing_mut().scroll = egui::style::ScrollStyle::solid();
+            let beside_the_bar =
+                egui::Frame::new().inner_margin(egui::Margin { right: 10, ..Default::default() });
             egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
-                ui.spacing_mut().slider_width = 130.0;
-                match &self.content {
-                    Content::Live(live) => {
-                        let (clock, history) = (&self.clock, &self.history);
-                        let running = Running { live, clock, history, device: self.context.name() };
-                        self.panel.live(ui, &running, actions);
-                    }
-                    Content::Playback(playback, _) => {
-                        self.panel.playback(ui, (playback, &self.clock), &self.history, actions);
-                    }
-                }
+                beside_the_bar.show(ui, |ui| self.panel(ui, actions));
             });
         });
         egui::CentralPanel::no_frame().show(ui, |ui| {
@@ -46,6 +37,20 @@ impl Viewer {
             self.point(ui, &response, actions);
         });
         self.keys(ui, actions);
+    }
+
+    fn panel(&mut self, ui: &mut egui::Ui, actions: &mut Vec<Action>) {
+        ui.spacing_mut().slider_width = 130.0;
+        match &self.content {
+            Content::Live(live) => {
+                let (clock, history) = (&self.clock, &self.history);
+                let running = Running { live, clock, history, device: self.context.name() };
+                self.panel.live(ui, &running, actions);
+            }
+            Content::Playback(playback, _) => {
+                self.panel.playback(ui, (playback, &self.clock), &self.history, actions);
+            }
+        }
     }
 
     fn keys(&self, ui: &egui::Ui, actions: &mut Vec<Action>) {

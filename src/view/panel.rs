@@ -4,10 +4,11 @@ use super::live::{Live, SOLVERS};
 use super::playback::Playback;
 use super::plots::{Axis, Series, brief, plot};
 use super::{Action, Changes, Clock};
+use crate::scene::{Fabric, fabrics};
 use egui::{Color32, RichText, Slider, Ui};
 
 /// Width of the panel \[points\].
-pub(super) const WIDTH: f32 = 300.0;
+pub(super) const WIDTH: f32 = 310.0;
 
 /// What the panel remembers from picture to picture.
 #[derive(Default)]
@@ -50,7 +51,7 @@ impl Panel {
     pub fn live(&mut self, ui: &mut Ui, running: &Running<'_>, actions: &mut Vec<Action>) {
         let Running { live, clock, history, device } = *running;
         let broken = live.broken();
-        ui.horizontal(|ui| {
+        ui.horizontal_wrapped(|ui| {
             let name = if clock.playing { "Pause" } else { "Play" };
             if ui.add_enabled(broken.is_none(), egui::Button::new(name)).clicked() {
                 actions.push(Action::Play(!clock.playing));
@@ -65,7 +66,7 @@ impl Panel {
                 actions.push(Action::Look);
             }
         });
-        ui.horizontal(|ui| {
+        ui.horizontal_wrapped(|ui| {
             let recording = live.recorder();
             let name =
                 recording.map_or("Record".into(), |r| format!("End recording ({} frames)", r.frames()));
@@ -139,7 +140,7 @@ impl Panel {
         actions: &mut Vec<Action>,
     ) {
         let frames = playback.trajectory().frames();
-        ui.horizontal(|ui| {
+        ui.horizontal_wrapped(|ui| {
             if ui.button(if clock.playing { "Pause" } else { "Play" }).clicked() {
                 actions.push(Action::Play(!clock.playing));
             }
@@ -158,7 +159,7 @@ impl Panel {
         });
         self.note(ui);
         let mut frame = playback.frame();
-        ui.spacing_mut().slider_width = WIDTH - 110.0;
+        ui.spacing_mut().slider_width = WIDTH - 150.0;
         if ui.add(Slider::new(&mut frame, 0..=frames - 1).text("frame")).changed() {
             actions.push(Action::Seek(frame));
         }
@@ -217,6 +218,19 @@ fn numbers(ui: &mut Ui, running: &Running<'_>) {
 fn cloth(ui: &mut Ui, live: &Live, actions: &mut Vec<Action>) {
     let (values, mut changes) = (live.values(), live.changes());
     let before = changes;
+    let is_own = |fabric: &&Fabric| {
+        fabric.moduli == values.moduli && fabric.areal_mass_kg_m2 == values.areal_mass_kg_m2
+    };
+    let name = fabrics().iter().find(is_own).map_or("another", |fabric| fabric.name);
+    egui::ComboBox::from_label("fabric").selected_text(name).show_ui(ui, |ui| {
+        for fabric in fabrics() {
+            let entry = ui.selectable_label(fabric.name == name, fabric.name);
+            if entry.on_hover_text(fabric.description).clicked() {
+                changes.moduli = Some(fabric.moduli);
+                changes.areal_mass_kg_m2 = Some(fabric.areal_mass_kg_m2);
+            }
+        }
+    });
     let mut moduli = values.moduli;
     let positive = |ui: &mut Ui, value: &mut f64, range, name: &str| {
         let slider = Slider::new(value, range).logarithmic(true).text(name);

@@ -16,6 +16,9 @@ use winit::window::{Window, WindowId};
 /// How long a window in which nothing moves waits before it looks whether it is to close.
 const IDLE: Duration = Duration::from_millis(100);
 
+/// How long a window that cannot be drawn into waits before it is tried again.
+const LATE: Duration = Duration::from_millis(20);
+
 type Open<'a> = Box<dyn FnOnce(Context) -> Result<(Context, Content)> + 'a>;
 
 /// Shows a window of this title and size \[points\] until it is closed or `closing` is set, and returns the files that were
@@ -190,8 +193,11 @@ impl Shown {
                 self.surface.configure(&self.context.device, &self.config);
                 return Ok(());
             }
-            // It is covered, or late.
-            _ => return Ok(()),
+            // It is covered, or late; it is not asked again at once.
+            _ => {
+                std::thread::sleep(LATE);
+                return Ok(());
+            }
         };
         let elapsed = self.last.elapsed();
         self.last = Instant::now();
