@@ -80,6 +80,8 @@ pub enum Action {
     Drag(Vec3),
     /// Lets go of the particle that is held.
     LetGo,
+    /// Whether particles stay where they are let go from now on.
+    Pin(bool),
     /// Lets go of the particles that were pinned.
     Unpin,
     /// Shows a frame of a trajectory.
@@ -318,6 +320,7 @@ impl Viewer {
                 return self.skip(1);
             }
             Action::Look => self.orbit = self.home,
+            Action::Pin(pin) => self.panel.pin = pin,
             Action::Picture => return self.write_picture(),
             Action::Record(true) => return self.record(),
             Action::Record(false) => return self.end_recording(),

@@ -95,7 +95,10 @@ impl Panel {
         ui.separator();
         self.solver(ui, live, actions);
         ui.separator();
-        ui.checkbox(&mut self.pin, "pin what is let go");
+        let mut pin = self.pin;
+        if ui.checkbox(&mut pin, "pin what is let go").changed() {
+            actions.push(Action::Pin(pin));
+        }
         if live.has_pinned() && ui.button("Let go of all pinned").clicked() {
             actions.push(Action::Unpin);
         }

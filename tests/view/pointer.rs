@@ -1,6 +1,7 @@
 //! What the pointer does beside the panel.
 
 use super::{FRAME, HANGING, Screen, apart, changed};
+use fnopt::view::Action;
 use fnopt::view::egui::{
     Event, Modifiers, MouseWheelSource, MouseWheelUnit, PointerButton, TouchPhase, vec2,
 };
@@ -44,9 +45,24 @@ fn any_particle_can_be_dragged_and_is_free_again() {
 }
 
 #[test]
+fn what_is_pinned_stays_until_all_is_let_go() {
+    let mut screen = Screen::of(HANGING);
+    screen.viewer.act(Action::Pin(true)).unwrap();
+    let to = drag(&mut screen, 8 * 16 + 12, [20.0, -40.0]);
+    screen.button(PointerButton::Primary, to, false);
+    screen.pass(20);
+    let [pinned] = screen.live().handles()[2..] else { panic!("{:?}", screen.live().handles()) };
+    assert!(apart(screen.place(pinned), to) < 1.0, "{:?} {to:?}", screen.place(pinned));
+    assert!(screen.live().has_pinned());
+    screen.viewer.act(Action::Unpin).unwrap();
+    screen.pass(1);
+    assert_eq!((screen.live().handles().len(), screen.live().has_pinned()), (2, false));
+}
+
+#[test]
 fn a_button_beside_the_cloth_turns_and_the_wheel_zooms() {
     let mut screen = Screen::of(HANGING);
-    screen.viewer.act(fnopt::view::Action::Play(false)).unwrap();
+    screen.viewer.act(Action::Play(false)).unwrap();
     let (first, orbit) = (screen.image(), *screen.viewer.orbit());
     assert_eq!(changed(&screen, &first, &screen.picture.image().unwrap()), 0.0);
     for (button, from) in [(PointerButton::Primary, [6.0, 6.0]), (PointerButton::Secondary, [200.0, 200.0])] {
@@ -60,7 +76,7 @@ fn a_button_beside_the_cloth_turns_and_the_wheel_zooms() {
         );
         let image = screen.image();
         assert!(changed(&screen, &first, &image) > 0.05);
-        screen.viewer.act(fnopt::view::Action::Look).unwrap();
+        screen.viewer.act(Action::Look).unwrap();
         assert_eq!(*screen.viewer.orbit(), orbit);
     }
     screen.button(PointerButton::Middle, [200.0, 200.0], true);
