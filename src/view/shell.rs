@@ -3,6 +3,7 @@
 use super::{Content, Viewer};
 use crate::gpu::{AdapterChoice, Context};
 use crate::{Error, Result};
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -35,7 +36,7 @@ pub fn run(
     open: impl FnOnce(Context) -> Result<(Context, Content)>,
 ) -> Result<Vec<PathBuf>> {
     let events = EventLoop::new().map_err(|error| {
-        Error::Device(format!("cannot open a window: {error} (--screenshot draws without one)"))
+        Error::Device(format!("cannot open a window: {} (--screenshot draws without one)", cause(&error)))
     })?;
     let mut shell = Shell {
         title,
@@ -55,6 +56,15 @@ pub fn run(
         (Some(error), _) => Err(error),
         (None, Err(error)) => Err(Error::Device(format!("the window has ended: {error}"))),
         (None, Ok(())) => Ok(shell.files),
+    }
+}
+
+/// Returns what an error of the system says, without the line of the library that met it.
+fn cause(error: &dyn Display) -> String {
+    let text = error.to_string();
+    match text.split_once(": ") {
+        Some((place, cause)) if place.starts_with("os error at ") => cause.to_owned(),
+        _ => text,
     }
 }
 
@@ -152,7 +162,7 @@ impl Shown {
     ) -> Result<Self> {
         let attributes =
             Window::default_attributes().with_title(title).with_inner_size(LogicalSize::new(width, height));
-        let refused = |error: &dyn std::fmt::Display| Error::Device(format!("cannot open a window: {error}"));
+        let refused = |error: &dyn Display| Error::Device(format!("cannot open a window: {}", cause(error)));
         let window = Arc::new(events.create_window(attributes).map_err(|error| refused(&error))?);
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
         let surface = instance.create_surface(window.clone()).map_err(|error| refused(&error))?;
