@@ -1,7 +1,10 @@
 //! When frames are due.
 
-/// Most frames that one picture may take: a machine that cannot keep up runs slower instead of falling behind.
-const MOST: usize = 4;
+/// Most frames that one picture may take.
+const MOST: usize = 8;
+/// Time between pictures \[s\] above which a machine cannot keep up. It then runs slower instead of falling behind, and shows
+/// every frame.
+const SLOW: f64 = 0.04;
 /// Share of a frame's time by which pictures may come early or late and still take one frame each.
 const JITTER: f64 = 0.25;
 
@@ -34,7 +37,8 @@ impl Clock {
         self.due += self.speed * share;
         let frames = (self.due + 1e-9).floor();
         self.due = (self.due - frames).max(0.0);
-        (frames as usize).min(MOST)
+        let most = if elapsed_s > SLOW { self.speed.ceil().max(1.0) as usize } else { MOST };
+        (frames as usize).min(most)
     }
 }
 
@@ -60,8 +64,11 @@ mod tests {
     #[test]
     fn a_machine_that_cannot_keep_up_does_not_fall_behind() {
         let mut clock = Clock::default();
-        assert_eq!(clock.frames(1.0, 1.0 / 60.0), MOST);
+        assert_eq!(clock.frames(1.0, 1.0 / 60.0), 1);
         assert_eq!(clock.frames(1.0 / 60.0, 1.0 / 60.0), 1);
+        // A scene of short frames on a usual screen.
+        assert_eq!(clock.frames(1.0 / 60.0, 1.0 / 240.0), 4);
+        assert_eq!(clock.frames(1.0 / 60.0, 1e-5), MOST);
         clock.playing = false;
         assert_eq!(clock.frames(1.0, 1.0 / 60.0), 0);
     }
