@@ -89,7 +89,8 @@ mod tests {
     #[test]
     fn gravity_and_moduli_are_those_of_the_panel() {
         let setup = Scene::default().setup().unwrap();
-        let moduli = Moduli { stretch_modulus: 500.0, shear_modulus: 20.0, bending_stiffness: 1e-4 };
+        let mut moduli = setup.units.moduli(setup.model.grid, setup.model.cloths[0].material);
+        (moduli.stretch_modulus, moduli.bending_stiffness) = (500.0, 1e-4);
         let changes = Changes { moduli: Some(moduli), gravity: Some(1.62), ..Changes::default() };
         let changed = changes.apply(&setup, &setup.model.cloths[0]);
         let values = Changes::default().values(&setup, &changed, [0.0; 3]);
