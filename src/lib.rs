@@ -33,7 +33,7 @@
 //! The stages exist twice, with the same meaning. [`cpu`] implements them in plain Rust, in single or double
 //! precision; the double-precision version defines what is correct. What its vectorised sums over a cloth add up is
 //! defined once more, plainly, element by element ([`cloth::terms`]). [`kernels`] and `shaders/` implement them
-//! in WGSL on top of [`gpu`], the only module that creates wgpu objects. [`sim::Solver`] records a frame into
+//! in WGSL on top of [`gpu`], the only module that creates wgpu objects but for what the viewer draws. [`sim::Solver`] records a frame into
 //! the caller's command encoder, without submitting, polling or mapping anything. [`Simulator`] is the
 //! convenience layer over both devices.
 //!
@@ -108,11 +108,12 @@
 //! | [`eval`] | comparison with recorded sequences, suites, material fitting |
 //! | [`train`] | pools of cloths, the run loop and its files |
 //! | [`verify`] | checks of every stage against golden files |
+//! | `view` | a window in which a scene runs or a trajectory is played back |
 //! | `bindings` | what the interfaces to other languages share: a simulation that owns its scenes |
 //! | `python`, `capi` | the Python package (`docs/python.md`) and the C interface (`docs/c.md`) |
 //!
 //! [`eval`], [`train`] and [`verify`] belong to the feature `lab`, [`render`] to the feature `render`; `weights` embeds the shipped
-//! weights. The command `fnopt` (`cli`) has all of them. `python` and `capi` belong to the features of their names.
+//! weights. The command `fnopt` (`cli`) has all of them. `view`, `python` and `capi` belong to the features of their names.
 //!
 //! # Units, shapes and errors
 //!
@@ -154,6 +155,8 @@ mod statistics;
 pub mod train;
 #[cfg(feature = "lab")]
 pub mod verify;
+#[cfg(feature = "view")]
+pub mod view;
 
 pub use error::{Error, Result};
 pub use simulator::{Device, Frame, Simulator};

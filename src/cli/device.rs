@@ -61,18 +61,7 @@ impl DeviceArgs {
             },
             (None, DeviceKind::Cpu) => return Ok(cpu("asked for")),
         };
-        let context = context.with_stored_pipelines()?;
-        let context = match Tuning::measured(&context) {
-            Some(tuning) => {
-                let path = Tuning::path(&context).unwrap_or_default();
-                tracing::info!("tuning: {}", path.display());
-                context.with_tuning(tuning)?
-            }
-            None => {
-                tracing::info!("tuning: built-in");
-                context
-            }
-        };
+        let context = prepared(context)?;
         let why = match (&self.adapter, self.device, context.kind()) {
             (Some(_), ..) => "asked for",
             (_, DeviceKind::Auto, _) => "hardware adapter",
@@ -80,12 +69,30 @@ impl DeviceArgs {
             (.., AdapterKind::Software) => "best adapter, a software one",
         };
         let line = format!("device: {} ({why})", context.name());
-        *OPENED.lock().unwrap_or_else(PoisonError::into_inner) = Some(context.clone());
         Ok((Device::Gpu(context), line))
     }
 }
 
-/// The context that [`DeviceArgs::open`] opened last.
+/// Returns the context with the pipelines and the tuning that are stored for its device. What the command compiles on it
+/// will be stored, too ([`store_pipelines`]).
+pub fn prepared(context: Context) -> Result<Context> {
+    let context = context.with_stored_pipelines()?;
+    let context = match Tuning::measured(&context) {
+        Some(tuning) => {
+            let path = Tuning::path(&context).unwrap_or_default();
+            tracing::info!("tuning: {}", path.display());
+            context.with_tuning(tuning)?
+        }
+        None => {
+            tracing::info!("tuning: built-in");
+            context
+        }
+    };
+    *OPENED.lock().unwrap_or_else(PoisonError::into_inner) = Some(context.clone());
+    Ok(context)
+}
+
+/// The context that was [`prepared`] last.
 static OPENED: Mutex<Option<Context>> = Mutex::new(None);
 
 /// Stores the pipelines that the command has compiled, for the next command. A failure is only logged.

@@ -15,6 +15,8 @@ mod scenes;
 mod train;
 mod tune;
 mod verify;
+#[cfg(feature = "view")]
+mod view;
 
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
@@ -81,6 +83,16 @@ impl Cli {
 enum Command {
     /// Simulate a scene and write positions, a report and pictures
     Rollout(rollout::Args),
+    /// Open a window in which a scene runs, or recorded frames are played back
+    #[cfg(feature = "view")]
+    View(view::Args),
+    /// Say how to build the window
+    #[cfg(not(feature = "view"))]
+    #[command(hide = true, disable_help_flag = true)]
+    View {
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        _any: Vec<std::ffi::OsString>,
+    },
     /// List the scenes that come with the program, or print one
     Scenes(scenes::Args),
     /// List the fabrics that a material may name, or measure how they bend and drape
@@ -158,7 +170,9 @@ const ABSENT_OPTIONS: [(&str, &str); 9] = [
 /// Starts logging to stderr what `FNOPT_LOG` selects, or warnings if it is not set. wgpu's own messages,
 /// which go through the `log` crate, are not included.
 pub fn log_to_stderr() -> Result<()> {
-    let wanted = std::env::var_os(LOG).filter(|wanted| !wanted.is_empty()).unwrap_or("warn".into());
+    let wanted = std::env::var_os(LOG).filter(|wanted| !wanted.is_empty());
+    // The windows' library warns of what desktops lack.
+    let wanted = wanted.unwrap_or("warn,winit=error".into());
     let invalid = |found| Error::invalid(LOG, "filter", "a level such as info, or TARGET=LEVEL,..", found);
     let text = wanted.to_str().ok_or_else(|| invalid(wanted.display().to_string()))?;
     // EnvFilter takes a word that is not a level for the name of a module, and only our own modules log.
@@ -189,6 +203,13 @@ pub fn run(cli: Cli) -> ExitCode {
     let stores = !matches!(cli.command, Command::Tune(_));
     let ending = match cli.command {
         Command::Rollout(args) => rollout::run(&args),
+        #[cfg(feature = "view")]
+        Command::View(args) => view::run(&args),
+        #[cfg(not(feature = "view"))]
+        Command::View { .. } => {
+            let instead = "it is built with `cargo install --path . --features view`";
+            Err(Error::absent("fnopt", "command", "view", instead).into())
+        }
         Command::Scenes(args) => scenes::run(&args),
         Command::Fabrics(args) => fabrics::run(&args),
         Command::Train(args) => train::run(&args),

@@ -130,6 +130,25 @@ impl Context {
         first_opened(choose(all_adapters().await, choice)?, Self::open).await
     }
 
+    /// Opens a device that can show pictures on a surface, and returns the adapter, too. An index counts all adapters of this
+    /// machine, whatever they can show. Fails as [`Context::headless`] does, or if the adapter cannot show anything there.
+    pub fn for_surface(
+        instance: &wgpu::Instance,
+        surface: &wgpu::Surface<'_>,
+        choice: &AdapterChoice,
+    ) -> Result<(Self, wgpu::Adapter)> {
+        pollster::block_on(async {
+            let mut found = choose(adapters_of(instance).await, choice)?;
+            let name = describe(&found[0].get_info());
+            found.retain(|adapter| adapter.is_surface_supported(surface));
+            if found.is_empty() {
+                return Err(Error::Device(format!("{name}: cannot draw into a window of this display")));
+            }
+            let open = async |adapter: wgpu::Adapter| Ok((Self::open(adapter.clone()).await?, adapter));
+            first_opened(found, open).await
+        })
+    }
+
     /// Opens a device on the best hardware adapter that can be opened; `None` if no usable one exists.
     /// Several processes on one machine pass different values of `turn`, counted from 0, to be spread evenly
     /// over the adapters of the best kind.
@@ -373,8 +392,11 @@ async fn all_adapters() -> Vec<wgpu::Adapter> {
     // Not OpenGL, in case the host's wgpu has it: its start is noisy on machines without a display.
     let descriptor = wgpu::InstanceDescriptor::new_without_display_handle_from_env();
     let backends = descriptor.backends & wgpu::Backends::PRIMARY;
-    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor { backends, ..descriptor });
-    let mut found = instance.enumerate_adapters(backends).await;
+    adapters_of(&wgpu::Instance::new(wgpu::InstanceDescriptor { backends, ..descriptor })).await
+}
+
+async fn adapters_of(instance: &wgpu::Instance) -> Vec<wgpu::Adapter> {
+    let mut found = instance.enumerate_adapters(wgpu::Backends::PRIMARY).await;
     found.sort_by_key(|a| match a.get_info().device_type {
         wgpu::DeviceType::DiscreteGpu => 0,
         wgpu::DeviceType::IntegratedGpu => 1,

@@ -91,12 +91,17 @@ impl Bodies {
         self.all.iter().map(of_path).max().unwrap_or(0)
     }
 
+    /// Returns number, shape and pose of each body in a frame, in metres and the axes of the trajectory.
+    pub(crate) fn there(&self, frame: usize) -> impl Iterator<Item = (usize, &Shape, &Pose)> {
+        let is_there =
+            move |path: &Path| path.presence.iter().rfind(|from| from.0 <= frame).is_some_and(|from| from.1);
+        let all = self.all.iter().enumerate().filter(move |(_, path)| is_there(path));
+        all.map(move |(k, path)| (k, &path.shape, &path.poses[frame.min(path.poses.len() - 1)]))
+    }
+
     /// Returns the bodies in a frame, in the unit of a picture.
     fn at<'a>(&'a self, frame: usize, unit: &'a Unit) -> impl Iterator<Item = (Shape, DVec3, DQuat)> + 'a {
-        let is_there =
-            move |path: &&Path| path.presence.iter().rfind(|from| from.0 <= frame).is_some_and(|from| from.1);
-        self.all.iter().filter(is_there).map(move |Path { shape, poses, .. }| {
-            let pose = &poses[frame.min(poses.len() - 1)];
+        self.there(frame).map(move |(_, shape, pose)| {
             let place = unit.place(pose.position.into());
             (scaled(shape.clone(), 1.0 / unit.size()), place, DQuat::from_array(pose.rotation))
         })

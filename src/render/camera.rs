@@ -23,7 +23,7 @@ impl Default for View {
 }
 
 /// Tangent of half the vertical field of view.
-const TANGENT: f32 = 0.24;
+pub(crate) const TANGENT: f32 = 0.24;
 /// Fraction of the picture that the trajectory may fill, horizontally and vertically.
 const FILL: [f32; 2] = [0.90, 0.88];
 /// Angle between the eye and the face of the cloth \[degrees\].
@@ -98,7 +98,7 @@ pub(super) fn range(values: impl Iterator<Item = f32>) -> (f32, f32) {
 
 /// A perspective camera. Its axes are x right, y up, z towards the eye.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Camera {
+pub(crate) struct Camera {
     /// Rotation from the world to the camera's axes.
     pub rotation: Mat3,
     /// Position of the eye along the camera's axes.
@@ -154,12 +154,13 @@ impl Camera {
         let nearest = points.iter().map(|&p| (rotation * p).z).fold(f32::MIN, f32::max);
         // Not at the nearest point, for a cloth that is a single point.
         let z = distance[0].max(distance[1]).max(nearest + 0.01);
-        Self {
-            rotation,
-            eye: vec3(middle[0], middle[1], z),
-            focal: height / (2.0 * TANGENT),
-            centre: [width / 2.0, height / 2.0],
-        }
+        Self::at(rotation, vec3(middle[0], middle[1], z), [width, height])
+    }
+
+    /// Returns the camera of a picture of `size` pixels that looks along the axes of `rotation` from the eye, which is given
+    /// along these axes.
+    pub fn at(rotation: Mat3, eye: Vec3, [width, height]: [f32; 2]) -> Self {
+        Self { rotation, eye, focal: height / (2.0 * TANGENT), centre: [width / 2.0, height / 2.0] }
     }
 }
 
@@ -171,7 +172,7 @@ impl View {
 
     /// Returns the axes of a camera that sees the points of a trajectory this way; `normals` are those of the
     /// first frame.
-    pub(super) fn rotation(&self, normals: &[[f32; 3]], points: &[Vec3]) -> Mat3 {
+    pub(crate) fn rotation(&self, normals: &[[f32; 3]], points: &[Vec3]) -> Mat3 {
         let upright = normals.iter().map(|&n| self.up().dot(Vec3::from(n)).powi(2)).sum::<f32>();
         let lying = upright / normals.len().max(1) as f32;
         let elevation = self.elevation.unwrap_or(ELEVATION[0] + ELEVATION[1] * lying);
@@ -191,14 +192,14 @@ impl View {
     }
 
     /// Returns two directions that span the horizon.
-    fn horizontal(&self) -> [Vec3; 2] {
+    pub(crate) fn horizontal(&self) -> [Vec3; 2] {
         let up = self.up();
         let seed = if up.z.abs() < 0.5 { Vec3::Z } else { Vec3::X };
         let east = if up.z.abs() < 0.5 { up.cross(seed) } else { seed - up * up.dot(seed) }.normalize();
         [east, up.cross(east)]
     }
 
-    fn axes(&self, azimuth: f32, elevation: f32) -> Mat3 {
+    pub(crate) fn axes(&self, azimuth: f32, elevation: f32) -> Mat3 {
         let [east, north] = self.horizontal();
         let (azimuth, elevation) = (azimuth.to_radians(), elevation.to_radians());
         let level = east * azimuth.cos() + north * azimuth.sin();

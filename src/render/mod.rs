@@ -32,3 +32,12 @@ pub use film::Film;
 pub use image::{Image, write_png};
 pub use marks::Marks;
 pub use strip::{StripOptions, strip};
+
+/// What the viewer shares with pictures.
+#[cfg(feature = "view")]
+pub(crate) mod shared {
+    pub(crate) use super::camera::{Camera, TANGENT};
+    pub(crate) use super::shade::{BACK, BACKGROUND, BODY, FRONT, HANDLE, Lights, PLANE, fields_per_edge};
+    pub(crate) use super::stage::MARKER;
+    pub(crate) use super::text::FONT;
+}

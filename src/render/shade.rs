@@ -5,28 +5,31 @@ use glam::{Vec2, Vec3, vec2, vec3};
 use std::sync::LazyLock;
 
 /// The front of the cloth: petrol blue.
-const FRONT: Vec3 = vec3(0.065, 0.32, 0.48);
+pub(crate) const FRONT: Vec3 = vec3(0.065, 0.32, 0.48);
 /// The back of the cloth: warm sand.
-const BACK: Vec3 = vec3(0.66, 0.47, 0.25);
+pub(crate) const BACK: Vec3 = vec3(0.66, 0.47, 0.25);
 /// Handles: orange.
-pub(super) const HANDLE: Vec3 = vec3(0.95, 0.16, 0.02);
+pub(crate) const HANDLE: Vec3 = vec3(0.95, 0.16, 0.02);
 /// Bodies: grey.
-const BODY: Vec3 = vec3(0.37, 0.365, 0.355);
+pub(crate) const BODY: Vec3 = vec3(0.37, 0.365, 0.355);
 /// Planes: grey, near the background.
-const PLANE: Vec3 = vec3(0.47, 0.465, 0.455);
+pub(crate) const PLANE: Vec3 = vec3(0.47, 0.465, 0.455);
 /// Half the width of the lines on a plane \[fields\], and their tone.
 const LINE: (f32, f32) = (0.014, 0.88);
 /// Background at the top and at the bottom.
-const BACKGROUND: [Vec3; 2] = [vec3(0.86, 0.88, 0.90), vec3(0.60, 0.61, 0.62)];
+pub(crate) const BACKGROUND: [Vec3; 2] = [vec3(0.86, 0.88, 0.90), vec3(0.60, 0.61, 0.62)];
 /// Number of checker fields along the longer side of the cloth.
 const FIELDS: f32 = 16.0;
 
 /// The lights of a stage, as directions along the camera's axes.
 #[derive(Clone)]
-pub(super) struct Lights {
-    key: Vec3,
-    fill: Vec3,
-    up: Vec3,
+pub(crate) struct Lights {
+    /// Direction of the light that shows the folds.
+    pub key: Vec3,
+    /// Direction of the weak light from the other side.
+    pub fill: Vec3,
+    /// The upward direction.
+    pub up: Vec3,
 }
 
 /// The properties of the cloth at a sample.
@@ -56,7 +59,7 @@ impl Lights {
     }
 
     /// Returns the light from the cloth to the eye.
-    pub fn cloth(&self, s: &Sample) -> Vec3 {
+    pub(super) fn cloth(&self, s: &Sample) -> Vec3 {
         let n = s.normal;
         // Fabric transmits and scatters some light, so shading continues a little beyond the terminator.
         let key = ((n.dot(self.key) + 0.18) / 1.18).max(0.0);
@@ -79,7 +82,7 @@ impl Lights {
     }
 
     /// Returns the light from a body, which is matte.
-    pub fn body(&self, spot: &Spot) -> Vec3 {
+    pub(super) fn body(&self, spot: &Spot) -> Vec3 {
         let n = spot.normal;
         let key = (0.5 + 0.5 * n.dot(self.key)).powi(2);
         let fill = n.dot(self.fill).max(0.0);
@@ -124,7 +127,7 @@ fn lines(field: Vec2) -> f32 {
 }
 
 /// Returns the number of checker fields per edge for a cloth of `cells` by `cells` edges.
-pub(super) fn fields_per_edge(cells: usize) -> f32 {
+pub(crate) fn fields_per_edge(cells: usize) -> f32 {
     FIELDS / cells.max(1) as f32
 }
 

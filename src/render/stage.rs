@@ -13,7 +13,7 @@ use crate::{cloth::Grid, io::vertex_normals};
 use glam::{Vec2, Vec3, vec2, vec3};
 
 /// Radius of a handle's marker, as a fraction of the picture's height.
-const MARKER: f32 = 0.0135;
+pub(crate) const MARKER: f32 = 0.0135;
 /// Distance of the floor below the trajectory, as a fraction of the trajectory's height.
 const FLOOR: f32 = 0.10;
 /// Least distance of the floor \[sizes of the cloth\], for a sheet that lies flat.

@@ -7,7 +7,7 @@ use std::sync::Once;
 
 /// DejaVu Sans 2.37, reduced to Latin and Greek with `pyftsubset --no-hinting --layout-features=`.
 #[cfg(not(target_arch = "wasm32"))]
-const FONT: &[u8] = include_bytes!("../../assets/fonts/DejaVuSans.ttf");
+pub(crate) const FONT: &[u8] = include_bytes!("../../assets/fonts/DejaVuSans.ttf");
 /// How far above the given position plotters draws the top of capitals, and the height of capitals, as
 /// fractions of the line height.
 pub(super) const RAISED: f32 = 1.0 / 6.0;

@@ -53,6 +53,8 @@ fn bad_input_is_refused_by_name_and_leaves_nothing() {
             &["rollout", "--grid", "48", "scene.json"],
             &["--grid", "with any file name before --grid", "48 scene.json"],
         ),
+        #[cfg(not(feature = "view"))]
+        (&["view", "--size", "9x9"], &["unknown command 'view'", "--features view"]),
         (&["tune", "--grid", "8x5"], &["--grid", "found 5"]),
         (&["tune", "--solver", "adam"], &["--solver", "expected fnopt", "found adam"]),
         (&["rollout", "--motion", "xz_v3"], &["--motion", "did you mean xyz_v3"]),
