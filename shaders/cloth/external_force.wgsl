@@ -74,10 +74,10 @@ fn external_force(@builtin(global_invocation_id) id: vec3u) {
     let at = b * 3u * n + id.y * params.columns + id.x;
     var f = cloths[b].gravity.xyz
         + vec3f(control_accelerations[at], control_accelerations[at + n], control_accelerations[at + 2u * n]);
-    let mark = marks[b * n + id.y * params.columns + id.x];
-    if !is_outside(mark) && (cloths[b].air.x != 0.0 || cloths[b].air.y != 0.0) {
+    let place = b * n + id.y * params.columns + id.x;
+    if !is_outside(marks[place]) && (cloths[b].air.x != 0.0 || cloths[b].air.y != 0.0) {
         let air = (cell(b, i, j) + cell(b, i - 1, j - 1)) + (cell(b, i - 1, j) + cell(b, i, j - 1));
-        f += air / (4.0 * mass_of(mark));
+        f += air / (4.0 * mass_of(marks[place]));
     }
     external_acceleration[at] = f.x;
     external_acceleration[at + n] = f.y;

@@ -23,7 +23,7 @@ fn a_fabric_is_measured() {
     let folder = tempfile::tempdir().unwrap();
     let measure = ["fabrics", "denim", "--measure", "--grid", "16", "--times", "2"];
     let (line, _) = done(fnopt(folder.path(), &measure));
-    assert!(line.contains("bending length "), "{line}");
+    assert!(line.contains("bending length 17.16 x 19.68 mm, measured 17.1"), "{line}");
     let (all, _) = done(fnopt(folder.path(), &[&measure[..], &["--json"]].concat()));
     let all: serde_json::Value = serde_json::from_str(&all).unwrap();
     let measured = &all[0]["measured"];
