@@ -12,7 +12,7 @@ fi
 out=${1:-$(mktemp -d)}
 mkdir -p "$out"
 # Bevy 0.20 asks for Rust 1.97 and builds with 1.95.
-cargo build --locked --ignore-rust-version --manifest-path examples/bevy/Cargo.toml
+cargo build --ignore-rust-version --manifest-path examples/bevy/Cargo.toml
 for frames in 10 60; do
     "$CARGO_TARGET_DIR/debug/fnopt-bevy" --screenshot "$out/$frames.png" --frames "$frames"
 done
