@@ -174,7 +174,7 @@ fn add_angle(first: Edge, second: Edge, rest: f32, c: f32) -> f32 {
         add_products(bent * normal_u, shape.cosine * normal_u - normal_w);
         add_products(bent * normal_w, shape.cosine * normal_w - normal_u);
     }
-    return c * shape.off * shape.off;
+    return c * (shape.off * shape.off);
 }
 
 // Six sums of each invocation, then of each group of eight invocations.
@@ -197,10 +197,11 @@ fn curvature(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) 
     let count = rows * columns;
     let material = cloths[b].material;
     let weave = cloths[b].weave;
-    let vertical = weave.x / ((rows - 1.0) * columns);
-    let horizontal = weave.y / (rows * (columns - 1.0));
+    let vertical = material.x * weave.x / ((rows - 1.0) * columns);
+    let horizontal = material.x * weave.y / (rows * (columns - 1.0));
     let shear = material.y / count;
-    let damping = material.z;
+    let bends = material.z * weave.zw / count;
+    let damping = cloths[b].gravity.w;
     let tiles_across = (params.columns + 7u) / 8u;
     let tiles = tiles_across * ((params.rows + 7u) / 8u);
     curvature0 = vec4f();
@@ -226,7 +227,7 @@ fn curvature(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) 
                 let down = edge(own, below);
                 elastic.x += add_stretch(down, vertical, damping, before(own, below, damping));
                 if has(below + WITH_RIM) {
-                    let bend = shifts[below].w * weave.z / count;
+                    let bend = shifts[below].w * bends.x;
                     elastic.z += add_angle(down, edge(below, below + WITH_RIM), 0.0, bend);
                 }
             }
@@ -234,7 +235,7 @@ fn curvature(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) 
                 let across = edge(own, right);
                 elastic.x += add_stretch(across, horizontal, damping, before(own, right, damping));
                 if has(right + 1u) {
-                    let bend = shifts[right].w * weave.w / count;
+                    let bend = shifts[right].w * bends.y;
                     elastic.z += add_angle(across, edge(right, right + 1u), 0.0, bend);
                 }
             }

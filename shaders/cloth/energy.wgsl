@@ -99,6 +99,7 @@ fn energy(
         let has_across = here > 0.0 && right > 0.0;
         let material = cloths[b].material;
         let weave = cloths[b].weave;
+        let damping = cloths[b].gravity.w;
         let at = b * 3u * n + p;
         let own = trial(b, p, n);
         // Of the cell behind it, as far as the grid goes.
@@ -108,7 +109,7 @@ fn energy(
         let across = position(b, i, min(j + 1u, last_column), own);
         if has_down {
             let off = stretch_of(down);
-            let energy = edge_energy(off, start(b, i + 1u, j) - own.x, material.z, vec2f(here, below));
+            let energy = edge_energy(off, start(b, i + 1u, j) - own.x, damping, vec2f(here, below));
             term.x += weave.x * energy / ((rows - 1.0) * columns);
             other.y = max(other.y, off);
             other.z += abs(off);
@@ -118,7 +119,7 @@ fn energy(
         }
         if has_across {
             let off = stretch_of(across);
-            let energy = edge_energy(off, start(b, i, j + 1u) - own.x, material.z, vec2f(here, right));
+            let energy = edge_energy(off, start(b, i, j + 1u) - own.x, damping, vec2f(here, right));
             term.x += weave.y * energy / (rows * (columns - 1.0));
             other.y = max(other.y, off);
             other.z += abs(off);
@@ -139,7 +140,7 @@ fn energy(
         let given = params.first_external + at;
         let f = vec3f(base[given], base[given + n], base[given + 2u * n]);
         let count = rows * columns;
-        term *= vec4f(1.0, material.y / count, 1.0 / count, 0.0);
+        term *= vec4f(material.x, material.y / count, material.z / count, 0.0);
         let alone = particle_energies(acceleration, f, mass_of(marks[b * n + p]) / count);
         term.w = alone.x;
         other.x = alone.y;

@@ -154,14 +154,15 @@ fn gradient_at(b: u32, p: u32, lane: u32) -> vec3f {
         let material = cloths[b].material;
         let weave = cloths[b].weave;
         let own = stiffness_of(mark);
-        let damping = material.z;
+        let damping = cloths[b].gravity.w;
         let up = other(lane, -1, 0);
         let down = other(lane, 1, 0);
         let left = other(lane, 0, -1);
         let right = other(lane, 0, 1);
         let vertical = stretch(lane, up, -1, 0, damping) + stretch(lane, down, 1, 0, damping);
         let horizontal = stretch(lane, left, 0, -1, damping) + stretch(lane, right, 0, 1, damping);
-        sum += weave.x * vertical / ((rows - 1.0) * columns) + weave.y * horizontal / (rows * (columns - 1.0));
+        sum += material.x
+            * (weave.x * vertical / ((rows - 1.0) * columns) + weave.y * horizontal / (rows * (columns - 1.0)));
         let corners = shear(own, up, left, other(lane, -1, -1)) + shear(own, up, right, other(lane, -1, 1))
             + shear(own, down, left, other(lane, 1, -1)) + shear(own, down, right, other(lane, 1, 1));
         let above = array(up, other(lane, -2, 0));
@@ -169,7 +170,7 @@ fn gradient_at(b: u32, p: u32, lane: u32) -> vec3f {
         let before = array(left, other(lane, 0, -2));
         let behind = array(right, other(lane, 0, 2));
         let bends = weave.z * bend(own, above, below) + weave.w * bend(own, before, behind);
-        sum += (material.y * corners + bends) / count;
+        sum += (material.y * corners + material.z * bends) / count;
     }
     return sum;
 }

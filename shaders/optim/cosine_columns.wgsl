@@ -65,10 +65,12 @@ fn element(first: u32, row: u32, column: u32) -> f32 {
 }
 
 // Returns the eigenvalues of a field in mode k of the columns and four modes of the rows.
-fn eigenvalues(field: u32, k: u32, l: u32, material: vec4f, weave: vec4f) -> vec4f {
+fn eigenvalues(field: u32, k: u32, l: u32, cloth: Cloth) -> vec4f {
+    let material = cloth.material;
+    let weave = cloth.weave;
     let h = f32(params.rows);
     let w = f32(params.columns);
-    let damped = 2.0 * (1.0 + material.z);
+    let damped = 2.0 * (1.0 + cloth.gravity.w) * material.x;
     let by_u = damped * weave.x / ((h - 1.0) * w);
     let by_v = damped * weave.y / (h * (w - 1.0));
     let m = vec4f(mu[k]);
@@ -76,15 +78,15 @@ fn eigenvalues(field: u32, k: u32, l: u32, material: vec4f, weave: vec4f) -> vec
     let last = params.rows + params.columns - 1u;
     let q = vec4f(mu[at], mu[min(at + 1u, last)], mu[min(at + 2u, last)], mu[min(at + 3u, last)]);
     var stretch = by_u * m + by_v * q;
-    var others = 1.0 + 2.0 * (weave.z * m * m + weave.w * q * q);
+    var others = 1.0 + 2.0 * material.z * (weave.z * m * m + weave.w * q * q);
     switch field {
         case 3u: {
             stretch = by_u * (m + TAU * q);
-            others = 1.0 + 8.0 * material.y * q + 2.0 * weave.w * q * q;
+            others = 1.0 + 8.0 * material.y * q + 2.0 * material.z * weave.w * q * q;
         }
         case 4u: {
             stretch = by_v * (q + TAU * m);
-            others = 1.0 + 8.0 * material.y * m + 2.0 * weave.z * m * m;
+            others = 1.0 + 8.0 * material.y * m + 2.0 * material.z * weave.z * m * m;
         }
         case 5u: {
             stretch *= TAU;
@@ -104,7 +106,7 @@ fn keep(field: u32, row: u32, column: u32, sum: vec4f) {
     }
     var v = sum;
     if !INVERSE {
-        v /= eigenvalues(field % 6u, row, column, cloths[field / 6u].material, cloths[field / 6u].weave);
+        v /= eigenvalues(field % 6u, row, column, cloths[field / 6u]);
     }
     let at = (field * params.rows + row) * params.columns + column;
     let columns = params.columns - column;

@@ -33,11 +33,14 @@ fn times(a: vec2f, b: vec2f) -> vec2f {
 }
 
 // Returns lambda of a mode: inertia, stretch, bend, shear and contacts. `mu` is 2 - 2 cos(pi k / n) along either axis.
-fn eigenvalue(mu: vec2f, material: vec4f, weave: vec4f) -> f32 {
+fn eigenvalue(mu: vec2f, cloth: Cloth) -> f32 {
+    let material = cloth.material;
+    let weave = cloth.weave;
     let h = f32(params.rows);
     let w = f32(params.columns);
-    let stretch = 2.0 * (1.0 + material.z) * (weave.x * mu.x / ((h - 1.0) * w) + weave.y * mu.y / (h * (w - 1.0)));
-    let bend = 2.0 * dot(weave.zw * mu, mu);
+    let damped = 2.0 * (1.0 + cloth.gravity.w) * material.x;
+    let stretch = damped * (weave.x * mu.x / ((h - 1.0) * w) + weave.y * mu.y / (h * (w - 1.0)));
+    let bend = 2.0 * material.z * dot(weave.zw * mu, mu);
     return stretch + (1.0 + material.w + bend + 4.0 * material.y * (mu.x + mu.y)) / (h * w);
 }
 
@@ -55,8 +58,7 @@ fn rest_modes(
     let k = element / half;
     let l = element % half;
     let field = group.z * params.rows * half;
-    let material = cloths[group.z / 3u].material;
-    let weave = cloths[group.z / 3u].weave;
+    let cloth = cloths[group.z / 3u];
 
     let conj = vec2f(1.0, -1.0);
     let e_h = conj * row_twiddles[k];
@@ -68,9 +70,9 @@ fn rest_modes(
     // mu of n - k (x) and of k (y), without the cancellation in 1 - cos.
     let mu_h = 4.0 * row_twiddles[k] * row_twiddles[k];
     let mu_w = 4.0 * column_twiddles[l] * column_twiddles[l];
-    let cc = 0.5 * (a.x + b.x) / eigenvalue(vec2f(mu_h.y, mu_w.y), material, weave);
-    let sc = -0.5 * (a.y + b.y) / eigenvalue(vec2f(mu_h.x, mu_w.y), material, weave);
-    let cs = -0.5 * (a.y - b.y) / eigenvalue(vec2f(mu_h.y, mu_w.x), material, weave);
-    let ss = 0.5 * (b.x - a.x) / eigenvalue(vec2f(mu_h.x, mu_w.x), material, weave);
+    let cc = 0.5 * (a.x + b.x) / eigenvalue(vec2f(mu_h.y, mu_w.y), cloth);
+    let sc = -0.5 * (a.y + b.y) / eigenvalue(vec2f(mu_h.x, mu_w.y), cloth);
+    let cs = -0.5 * (a.y - b.y) / eigenvalue(vec2f(mu_h.y, mu_w.x), cloth);
+    let ss = 0.5 * (b.x - a.x) / eigenvalue(vec2f(mu_h.x, mu_w.x), cloth);
     out[field + element] = times(conj * times(e_h, e_w), vec2f(cc - ss, -(sc + cs)));
 }

@@ -22,10 +22,10 @@ fn elastic_along(b: u32, p: u32, normal: vec3f) -> f32 {
     let i = p / w;
     let j = p % w;
     let own = position(b, p);
-    let weave = cloths[b].weave;
-    let vertical = weave.x / ((f32(h) - 1.0) * f32(w));
-    let horizontal = weave.y / (f32(h) * (f32(w) - 1.0));
-    let damping = cloths[b].material.z;
+    let stretch = cloths[b].material.x * cloths[b].weave.xy;
+    let vertical = stretch.x / ((f32(h) - 1.0) * f32(w));
+    let horizontal = stretch.y / (f32(h) * (f32(w) - 1.0));
+    let damping = cloths[b].gravity.w;
     var sum = 0.0;
     if i > 0u {
         sum += of_edge(b, own, p - w, normal, vertical, damping);

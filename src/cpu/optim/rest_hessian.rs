@@ -77,11 +77,11 @@ fn eigenvalue(grid: Grid, cloth: &Cloth, (k, l): (usize, usize)) -> f64 {
     let (Grid { h, w }, material) = (grid, cloth.material);
     let (mu_h, mu_w) = (mu(h, k), mu(w, l));
     let n = (h * w) as f64;
-    let ([down, across], [bend_down, bend_across]) = (damped(cloth), material.bends());
+    let ([down, across], [bend_down, bend_across]) = (material.weave.stretch, material.weave.bend);
     let stretch = down * mu_h / ((h - 1) * w) as f64 + across * mu_w / (h * (w - 1)) as f64;
     (1.0 + cloth.contact_curvature()) / n
-        + 2.0 * stretch
-        + 2.0 / n * (bend_down * mu_h * mu_h + bend_across * mu_w * mu_w)
+        + 2.0 * (1.0 + cloth.damping) * material.stretch * stretch
+        + 2.0 * material.bend / n * (bend_down * mu_h * mu_h + bend_across * mu_w * mu_w)
         + 4.0 * material.shear / n * (mu_h + mu_w)
 }
 

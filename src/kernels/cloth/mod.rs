@@ -125,16 +125,16 @@ impl ClothParams {
 
     fn new(cloth: &Cloth) -> Self {
         let m = cloth.material;
-        let ([down, across], [bend_down, bend_across]) = (m.stretches(), m.bends());
+        let ([down, across], [bend_down, bend_across]) = (m.weave.stretch, m.weave.bend);
         // Without repulsion, cells are one edge wide and are not searched.
         let [strength, distance, per_edge] =
             cloth.repulsion.map_or([0.0, 0.0, 1.0], |r| [r.strength, r.distance, r.distance.recip()]);
         let [thickness, friction] = cloth.self_contact.map_or([0.0; 2], |s| [s.thickness, s.friction]);
         let [gx, gy, gz] = cloth.gravity.map(|g| g as f32);
         Self {
-            material: [m.stretch, m.shear, cloth.damping, cloth.contact_curvature()].map(|k| k as f32),
+            material: [m.stretch, m.shear, m.bend, cloth.contact_curvature()].map(|k| k as f32),
             weave: [down, across, bend_down, bend_across].map(|k| k as f32),
-            gravity: [gx, gy, gz, 0.0],
+            gravity: [gx, gy, gz, cloth.damping as f32],
             air: [cloth.air.density as f32, cloth.air.drag as f32, 0.0, 0.0],
             repulsion: [strength as f32, distance as f32, per_edge as f32, 0.0],
             layers: [thickness as f32, friction as f32, 0.0, 0.0],
