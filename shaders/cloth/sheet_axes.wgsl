@@ -1,5 +1,5 @@
-// Start of a frame of a subspace method: the sheet's own axes at each particle, and the last frame's
-// acceleration as a direction.
+// Start of a frame of a subspace method: the sheet's own axes at each particle, how stiff it is along them, and the last
+// frame's acceleration as a direction.
 //
 // With the central differences of the predicted positions y = x + base (one-sided at the borders), of unit
 // length, u along the first axis of the grid and v along the second, and
@@ -8,9 +8,16 @@
 // third axis is t1 x t2. Where a difference has no direction they are the axes of the world. A particle stands for a
 // neighbour that the cloth doesn't have.
 //
+// A force takes a particle less far along an axis where the sheet is under tension, and where the other axis is compressed.
+// With the mean strains e_1 and e_2 of its edges along u and v, the coefficients k_1 and k_2 of the stretch, and the distance d
+// to the nearest handle,
+//   |t1| = near / (sqrt(1 + 2 k_1 max(e_1, 0)) (1 + 2 k_2 max(-e_2, 0))), |t2| likewise, |normal| = near,
+//   near = 1 - HANDLE_SHARE / (1 + d), or 1 if no handle is within HANDLE_REACH rows and columns.
+//
+// cloths: [B]
 // marks: [B, n]
 // x, base: [B, 3, n]
-// axes: [B, 6, n] = t1, then t2, of unit length
+// axes: [B, 10, n] = t1, t2, the normal, near
 // directions: [K, slot], of which slot 2 [B, 3, n] becomes a, 0 where no free particle is and where a is not finite
 // a: [B, 3, n], becomes 0
 //
@@ -25,12 +32,16 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> marks: array<vec2u>;
-@group(0) @binding(2) var<storage, read> x: array<f32>;
-@group(0) @binding(3) var<storage, read> base: array<f32>;
-@group(0) @binding(4) var<storage, read_write> axes: array<f32>;
-@group(0) @binding(5) var<storage, read_write> directions: array<f32>;
-@group(0) @binding(6) var<storage, read_write> a: array<f32>;
+@group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
+@group(0) @binding(2) var<storage, read> marks: array<vec2u>;
+@group(0) @binding(3) var<storage, read> x: array<f32>;
+@group(0) @binding(4) var<storage, read> base: array<f32>;
+@group(0) @binding(5) var<storage, read_write> axes: array<f32>;
+@group(0) @binding(6) var<storage, read_write> directions: array<f32>;
+@group(0) @binding(7) var<storage, read_write> a: array<f32>;
+
+override HANDLE_SHARE: f32 = 0.5;
+override HANDLE_REACH: u32 = 2;
 
 // Shortest vector that has a direction.
 const SHORTEST: f32 = 1e-12;
@@ -58,6 +69,38 @@ fn neighbour(b: u32, p: u32, q: u32) -> u32 {
     return select(q, p, is_outside(marks[b * params.rows * params.columns + q]));
 }
 
+// Returns the mean strain of two edges, of which one or both may be missing (of length 0).
+fn strain(one: vec3f, two: vec3f) -> f32 {
+    let lengths = vec2f(length(one), length(two));
+    let exist = lengths > vec2f();
+    let sums = vec2f(dot(select(vec2f(), lengths - 1.0, exist), vec2f(1.0)), dot(select(vec2f(), vec2f(1.0), exist), vec2f(1.0)));
+    let mean = sums.x / max(sums.y, 1.0);
+    return select(0.0, mean, is_finite(mean));
+}
+
+// Returns the length of an axis, given 2 k e along it and along the other one.
+fn length_along(own: f32, other: f32) -> f32 {
+    return 1.0 / (sqrt(1.0 + max(own, 0.0)) * (1.0 + max(-other, 0.0)));
+}
+
+// Returns 1 / (1 + d) for the distance d of the nearest handle, 0 if there is none within HANDLE_REACH rows and columns.
+fn nearness(b: u32, i: u32, j: u32) -> f32 {
+    var nearest = 0xffffffffu;
+    let first = vec2u(max(i, HANDLE_REACH), max(j, HANDLE_REACH)) - HANDLE_REACH;
+    let last = min(vec2u(i, j) + HANDLE_REACH, vec2u(params.rows, params.columns) - 1u);
+    for (var k = first.x; k <= last.x; k++) {
+        for (var l = first.y; l <= last.y; l++) {
+            let mark = marks[(b * params.rows + k) * params.columns + l];
+            let away = vec2i(vec2u(i, j)) - vec2i(vec2u(k, l));
+            let squared = u32(away.x * away.x + away.y * away.y);
+            if !is_free(mark) && !is_outside(mark) {
+                nearest = min(nearest, squared);
+            }
+        }
+    }
+    return select(1.0 / (1.0 + sqrt(f32(nearest))), 0.0, nearest == 0xffffffffu);
+}
+
 @compute @workgroup_size(64)
 fn sheet_axes(
     @builtin(local_invocation_index) lane: u32,
@@ -77,8 +120,12 @@ fn sheet_axes(
     let below = neighbour(b, p, min(i + 1u, params.rows - 1u) * params.columns + j);
     let before = neighbour(b, p, i * params.columns + select(j - 1u, 0u, j == 0u));
     let behind = neighbour(b, p, i * params.columns + min(j + 1u, params.columns - 1u));
-    let u = unit(difference(first + above, first + below, n));
-    let v = unit(difference(first + before, first + behind, n));
+    let u1 = difference(first + above, first + p, n);
+    let u2 = difference(first + p, first + below, n);
+    let v1 = difference(first + before, first + p, n);
+    let v2 = difference(first + p, first + behind, n);
+    let u = unit(u1 + u2);
+    let v = unit(v1 + v2);
     let s = unit(u.xyz + v.xyz);
     let normal = unit(cross(u.xyz, v.xyz));
     let d = unit(cross(s.xyz, normal.xyz));
@@ -89,11 +136,19 @@ fn sheet_axes(
         t1 = 0.7071067811865476 * (s.xyz + towards_u);
         t2 = 0.7071067811865476 * (s.xyz - towards_u);
     }
-    let out = b * 6u * n + p;
+    let cloth = cloths[b];
+    let forces = 2.0 * cloth.material.x * cloth.weave.xy * vec2f(strain(u1, u2), strain(v1, v2));
+    let near = 1.0 - HANDLE_SHARE * nearness(b, i, j);
+    let axis1 = near * length_along(forces.x, forces.y) * t1;
+    let axis2 = near * length_along(forces.y, forces.x) * t2;
+    let axis3 = near * cross(t1, t2);
+    let out = b * 10u * n + p;
+    axes[out + 9u * n] = near;
     let free = is_free(marks[b * n + p]);
     for (var c = 0u; c < 3u; c++) {
-        axes[out + c * n] = t1[c];
-        axes[out + (3u + c) * n] = t2[c];
+        axes[out + c * n] = axis1[c];
+        axes[out + (3u + c) * n] = axis2[c];
+        axes[out + (6u + c) * n] = axis3[c];
         let at = first + c * n + p;
         let last = a[at];
         directions[2u * params.slot + at] = select(0.0, last, free && is_finite(last));

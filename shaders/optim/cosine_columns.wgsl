@@ -4,10 +4,11 @@
 // INVERSE:  out[f, i, l] = sum_k table[k, i] z[f, k, l]
 //
 // With N = H W, m = mu[k] and q = mu[H + l], fields 0 to 2 have the eigenvalue of a sheet at rest (see
-// `rest_modes`), fields 3 to 5 those of one component in the sheet's own axes:
-//   lambda_3 = w_u (m + TAU q) + (1 + 8 k_shear q + 2 k_across q^2) / N
-//   lambda_4 = w_v (q + TAU m) + (1 + 8 k_shear m + 2 k_down m^2) / N
-//   lambda_5 = TAU (w_u m + w_v q) + (1 + 2 NORMAL k_stretch + 2 (k_down m^2 + k_across q^2)) / N
+// `rest_modes`), but for its inertia, fields 3 to 5 those of one component in the sheet's own axes:
+//   lambda_0 = lambda_rest + (SPATIAL - 1) / N
+//   lambda_3 = w_u (m + TAU q) + (TANGENTIAL + 8 k_shear q + 2 k_across q^2) / N
+//   lambda_4 = w_v (q + TAU m) + (TANGENTIAL + 8 k_shear m + 2 k_down m^2) / N
+//   lambda_5 = TAU (w_u m + w_v q) + (1 + 2 TAU k_stretch + 2 BEND (k_down m^2 + k_across q^2)) / N
 // where w_u = 2 k_u (1 + t) / ((H - 1) W) and w_v = 2 k_v (1 + t) / (H (W - 1)), k_u and k_v are the coefficients of the stretch down
 // and across, k_down and k_across those of the bend, k_stretch is that of the stretch of both axes, and t its damping.
 //
@@ -32,9 +33,12 @@ struct Params {
 @group(0) @binding(5) var<storage, read_write> out: array<f32>;
 
 override INVERSE: bool = false;
-// Share of an edge's stiffness that acts across it, and stiffness along the normal as a share of k_stretch.
-override TAU: f32 = 0.003;
-override NORMAL: f32 = 0.003;
+// Share of an edge's stiffness that acts across it.
+override TAU: f32 = 0.0003;
+// Inertia in the axes of the world and along the sheet, and bend across it, as multiples of those of a flat sheet.
+override SPATIAL: f32 = 1;
+override TANGENTIAL: f32 = 1;
+override BEND: f32 = 1;
 
 // Rows of the product that are summed at once.
 const DEPTH: u32 = 16u;
@@ -78,22 +82,23 @@ fn eigenvalues(field: u32, k: u32, l: u32, cloth: Cloth) -> vec4f {
     let last = params.rows + params.columns - 1u;
     let q = vec4f(mu[at], mu[min(at + 1u, last)], mu[min(at + 2u, last)], mu[min(at + 3u, last)]);
     var stretch = by_u * m + by_v * q;
-    var others = 1.0 + 2.0 * material.z * (weave.z * m * m + weave.w * q * q);
+    let bend = 2.0 * material.z * (weave.z * m * m + weave.w * q * q);
+    var others = vec4f(1.0);
     switch field {
         case 3u: {
             stretch = by_u * (m + TAU * q);
-            others = 1.0 + 8.0 * material.y * q + 2.0 * material.z * weave.w * q * q;
+            others = TANGENTIAL + 8.0 * material.y * q + 2.0 * material.z * weave.w * q * q;
         }
         case 4u: {
             stretch = by_v * (q + TAU * m);
-            others = 1.0 + 8.0 * material.y * m + 2.0 * material.z * weave.z * m * m;
+            others = TANGENTIAL + 8.0 * material.y * m + 2.0 * material.z * weave.z * m * m;
         }
         case 5u: {
             stretch *= TAU;
-            others += 2.0 * NORMAL * material.x;
+            others += 2.0 * TAU * material.x + BEND * bend;
         }
         default: {
-            others += 4.0 * material.y * (m + q) + material.w;
+            others = SPATIAL + bend + 4.0 * material.y * (m + q) + material.w;
         }
     }
     return stretch + others / (h * w);

@@ -1,12 +1,12 @@
 // Inverse cosine transform along the rows, which ends the spectral and the co-rotated direction.
 //
 // With y_f[i, j] = sum_l table[l, j] z[f, i, l], at free particles
-//   direction 0 = -(y_0, y_1, y_2)
-//   direction 1 = -(y_3 t1 + y_4 t2 + y_5 t1 x t2)
+//   direction 0 = -near (y_0, y_1, y_2)
+//   direction 1 = -(y_3 t1 + y_4 t2 + y_5 normal)
 // and both are 0 elsewhere.
 //
 // marks: [B, H, W]
-// axes: [B, 6, H, W] = t1, t2 (`sheet_axes`)
+// axes: [B, 10, H, W] = t1, t2, the normal, near (`sheet_axes`)
 // table: [W, W], the orthonormal DCT-II
 // z: [B, 6, H, W]
 // directions: [K, slot], of which slots 0 and 1 [B, 3, H, W] are written
@@ -57,11 +57,12 @@ fn keep(b: u32, i: u32, j: u32, world: vec3f, own: vec3f) {
     let n = params.rows * params.columns;
     let p = i * params.columns + j;
     let free = is_free(marks[b * n + p]);
-    let axis = b * 6u * n + p;
+    let axis = b * 10u * n + p;
     let t1 = vec3f(axes[axis], axes[axis + n], axes[axis + 2u * n]);
     let t2 = vec3f(axes[axis + 3u * n], axes[axis + 4u * n], axes[axis + 5u * n]);
-    let spectral = select(vec3f(), -world, free);
-    let rotated = select(vec3f(), -(own.x * t1 + own.y * t2 + own.z * cross(t1, t2)), free);
+    let normal = vec3f(axes[axis + 6u * n], axes[axis + 7u * n], axes[axis + 8u * n]);
+    let spectral = select(vec3f(), -axes[axis + 9u * n] * world, free);
+    let rotated = select(vec3f(), -(own.x * t1 + own.y * t2 + own.z * normal), free);
     let at = b * 3u * n + p;
     for (var c = 0u; c < 3u; c++) {
         directions[at + c * n] = spectral[c];

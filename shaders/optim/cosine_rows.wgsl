@@ -1,11 +1,11 @@
 // Cosine transform along the rows of the gradient g, and of g in the axes of the sheet.
 //
-// z[f, i, l] = sum_j table[l, j] field_f[i, j]; fields 0 to 2 are the components of g, fields 3 to 5 its
-// products with t1, t2 and t1 x t2 (`sheet_axes`). Both are 0 where no free particle is.
+// z[f, i, l] = sum_j table[l, j] field_f[i, j]; fields 0 to 2 are the components of near g, fields 3 to 5 the
+// products of g with t1, t2 and the normal (`sheet_axes`). Both are 0 where no free particle is.
 //
 // grad: [B, 3, H, W]
 // marks: [B, H, W]
-// axes: [B, 6, H, W] = t1, t2
+// axes: [B, 10, H, W] = t1, t2, the normal, near
 // table: [W, W], the orthonormal DCT-II, table[l, j] = sqrt((l == 0 ? 1 : 2) / W) cos(pi l (2 j + 1) / 2 W)
 // z: [B, 6, H, W]
 //
@@ -32,11 +32,13 @@ fn load_particle(b: u32, i: u32, j: u32, place: u32) {
     var own = vec3f();
     if i < params.rows && j < params.columns && is_free(marks[b * n + p]) {
         let at = b * 3u * n + p;
-        let axis = b * 6u * n + p;
+        let axis = b * 10u * n + p;
         let t1 = vec3f(axes[axis], axes[axis + n], axes[axis + 2u * n]);
         let t2 = vec3f(axes[axis + 3u * n], axes[axis + 4u * n], axes[axis + 5u * n]);
-        world = vec3f(grad[at], grad[at + n], grad[at + 2u * n]);
-        own = vec3f(dot(t1, world), dot(t2, world), dot(cross(t1, t2), world));
+        let normal = vec3f(axes[axis + 6u * n], axes[axis + 7u * n], axes[axis + 8u * n]);
+        let g = vec3f(grad[at], grad[at + n], grad[at + 2u * n]);
+        world = axes[axis + 9u * n] * g;
+        own = vec3f(dot(t1, g), dot(t2, g), dot(normal, g));
     }
     firsts[place] = world;
     lasts[place] = own;

@@ -206,6 +206,12 @@ impl Mark {
         self.word & Self::SLOT == 0
     }
 
+    /// Whether it moves as the control says.
+    #[inline]
+    pub fn is_handle(self) -> bool {
+        !self.is_free() && !self.is_outside()
+    }
+
     /// Whether it is no part of the cloth.
     #[inline]
     pub fn is_outside(self) -> bool {

@@ -2,11 +2,12 @@
 
 use super::FreeEdges;
 use crate::Frame;
-use crate::cloth::{Control, Grid, Mark, Model, State};
-use crate::cpu::cloth::sheet_axes;
-use crate::cpu::optim::{CoRotatedHessian, Cosines, InverseHessian, RestHessian};
+use crate::cloth::{Control, Grid, Mark, Material, Model, State};
+use crate::cpu::cloth::{AXES, sheet_axes};
+use crate::cpu::optim::{Cosines, InverseHessian, RestHessian, SheetHessian};
 use crate::cpu::{Objective, free_fall};
 use crate::scene::{Script, Setup};
+use crate::settings::SheetConstants;
 use crate::statistics::median;
 use std::fmt;
 use std::sync::Arc;
@@ -193,14 +194,14 @@ struct Estimate {
     marks: Vec<Mark>,
     objective: Objective<f64>,
     in_space: RestHessian<f64>,
-    in_sheet: CoRotatedHessian<f64>,
-    /// Shape [6, H, W].
+    in_sheet: SheetHessian<f64>,
+    /// Shape [10, H, W].
     axes: Vec<f64>,
     /// Shape [3, H, W].
     still: Vec<f64>,
     /// The decrease of the energy in a frame of free fall.
     of_fall: f64,
-    stretch: f64,
+    material: Material,
 }
 
 impl Estimate {
@@ -213,11 +214,11 @@ impl Estimate {
             marks: model.marks(),
             objective: Objective::new(model),
             in_space: RestHessian::with(&cosines, cloth),
-            in_sheet: CoRotatedHessian::new(&cosines, cloth),
-            axes: vec![0.0; 6 * n],
+            in_sheet: SheetHessian::new(&cosines, cloth, &SheetConstants::FLAT),
+            axes: vec![0.0; AXES * n],
             still: vec![0.0; 3 * n],
             of_fall: free_fall(model),
-            stretch: cloth.material.stretch,
+            material: cloth.material,
         }
     }
 
@@ -226,13 +227,13 @@ impl Estimate {
         self.objective.begin_frame(before, control);
         self.objective.set_accelerations(&self.still);
         self.objective.evaluate(before, control);
-        sheet_axes((self.grid, &self.marks), &before.x, &before.v, &mut self.axes);
+        sheet_axes((self.grid, &self.marks, self.material), &before.x, &before.v, &mut self.axes);
         let all = self.decrease();
         self.objective.gradient_at_end(before, after, control);
         let left = self.decrease();
         // What the rounding of positions makes of the stiffest term.
         let extent = before.x.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
-        let rounding = self.stretch * (f64::from(f32::EPSILON) * extent).powi(2);
+        let rounding = self.material.stretch * (f64::from(f32::EPSILON) * extent).powi(2);
         left / all.max(self.of_fall).max(rounding)
     }
 
@@ -244,7 +245,7 @@ impl Estimate {
         let half = |direction: &[f64]| 0.5 * grad.iter().zip(direction).map(|(g, d)| g * d).sum::<f64>();
         let in_space = half(&direction);
         direction.copy_from_slice(grad);
-        self.in_sheet.apply(&self.axes, &mut direction);
+        self.in_sheet.apply_in_sheet(&self.axes, &mut direction);
         in_space.max(half(&direction))
     }
 }

@@ -34,10 +34,11 @@ pub enum Direction {
         initial: Initial,
     },
     /// Against the gradient times the inverse Hessian of the sheet at rest, by a cosine transform, alike in x, y
-    /// and z.
+    /// and z, and shorter near handles.
     Spectral,
     /// As [`Direction::Spectral`], with an inverse of its own for each of the sheet's own axes at the predicted
-    /// start of the frame: a sheet is a thousand times stiffer along its surface than across it.
+    /// start of the frame: a sheet is a thousand times stiffer along its surface than across it. It is shorter where the sheet
+    /// is under tension ([`crate::cpu::cloth::sheet_axes`]).
     CoRotated,
     /// The step that was taken last, or in the first iteration the accelerations of the frame before. With
     /// preconditioned gradients it makes the iteration a conjugate-gradient method.

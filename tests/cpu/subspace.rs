@@ -2,13 +2,13 @@
 
 use crate::marks_of;
 use crate::noise::noise;
-use fnopt::cloth::{Cloth, Control, Grid, Material, Model, Repulsion, State};
-use fnopt::cpu::cloth::{CurvatureRows, LocalModel, sheet_axes};
-use fnopt::cpu::optim::{CoRotatedHessian, Cosines, InverseHessian, RestHessian, best_step};
+use fnopt::cloth::{Cloth, Control, Grid, Material, Model, Repulsion, State, Weave};
+use fnopt::cpu::cloth::{AXES, CurvatureRows, LocalModel, sheet_axes};
+use fnopt::cpu::optim::{Cosines, InverseHessian, RestHessian, SheetHessian, best_step};
 use fnopt::cpu::{Objective, Real, Solver};
 use fnopt::network::Weights;
 use fnopt::scene::Scene;
-use fnopt::settings::TENSION;
+use fnopt::settings::{HANDLE_SHARE, SheetConstants, TENSION};
 use fnopt::sim::Optimizer;
 use std::sync::Arc;
 
@@ -234,7 +234,7 @@ fn best_steps_solve_the_model() {
 }
 
 #[test]
-fn axes_are_orthonormal_and_turn_with_the_sheet() {
+fn axes_are_orthogonal_and_turn_with_the_sheet() {
     let grid = Grid { h: 9, w: 12 };
     let n = grid.particles();
     let mut x = State::<f64>::rest(grid, 1).x;
@@ -253,19 +253,20 @@ fn axes_are_orthonormal_and_turn_with_the_sheet() {
         out
     };
     let axes = |x: &[f64], shift: &[f64]| {
-        let mut axes = vec![f64::NAN; 6 * n];
-        sheet_axes((grid, &marks_of(grid, &[])), x, shift, &mut axes);
+        let mut axes = vec![f64::NAN; AXES * n];
+        sheet_axes((grid, &marks_of(grid, &[]), Material::PAPER), x, shift, &mut axes);
         axes
     };
     let (own, other) = (axes(&x, &shift), axes(&turned(&x), &turned(&shift)));
-    for (one, two) in [(&own[..3 * n], &other[..3 * n]), (&own[3 * n..], &other[3 * n..])] {
+    for (one, two) in own.chunks_exact(3 * n).zip(other.chunks_exact(3 * n)) {
         turned(one).iter().zip(two).for_each(|(a, b)| assert!((a - b).abs() < 1e-12, "{a} {b}"));
     }
+    assert_eq!(own[9 * n..], other[9 * n..]);
     for p in 0..n {
         let at = |first: usize| [0, 1, 2].map(|k| own[(first + k) * n + p]);
-        let (one, two) = (at(0), at(3));
+        let (one, two, normal) = (at(0), at(3), at(6));
         let of = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-        let products = [of(one, one) - 1.0, of(two, two) - 1.0, of(one, two)];
+        let products = [of(normal, normal) - 1.0, of(one, two), of(one, normal), of(two, normal)];
         assert!(products.iter().all(|v| v.abs() < 1e-12), "{products:?}");
     }
     // The sheet at rest has i along y and j along x; one without extent has axes all the same.
@@ -274,39 +275,72 @@ fn axes_are_orthonormal_and_turn_with_the_sheet() {
     assert!(axes(&vec![2.0; 3 * n], &vec![0.0; 3 * n])[..n].iter().all(|&v| v == 1.0));
 }
 
-/// Returns the product of the inverse Hessian with a field, in the axes of the sheet.
-fn co_rotated(grid: Grid, cloth: &Cloth, axes: &[f64], field: &[f64]) -> Vec<f64> {
-    let mut out = field.to_vec();
-    CoRotatedHessian::new(&Arc::new(Cosines::new(grid)), cloth).apply(axes, &mut out);
-    out
+#[test]
+fn axes_are_shorter_under_tension_beside_compression_and_next_to_handles() {
+    // 10 % longer along the height, 20 % shorter along the width, with one handle.
+    let grid = Grid { h: 9, w: 12 };
+    let (n, w) = (grid.particles(), grid.w);
+    let material = Material { weave: Weave { stretch: [1.0, 0.5], ..Weave::EVEN }, ..Material::PAPER };
+    let mut x = State::<f64>::rest(grid, 1).x;
+    x[..n].iter_mut().for_each(|x| *x *= 0.8);
+    x[n..2 * n].iter_mut().for_each(|y| *y *= 1.1);
+    let handle = 4 * w + 5;
+    let mut axes = vec![f64::NAN; AXES * n];
+    sheet_axes((grid, &marks_of(grid, &[handle]), material), &x, &vec![0.0; 3 * n], &mut axes);
+    let length =
+        |p: usize, first: usize| (0..3).map(|c| axes[(first + c) * n + p].powi(2)).sum::<f64>().sqrt();
+    // k is 1000 along the height and 500 along the width.
+    let (stretched, compressed) = (2.0 * 1000.0 * 0.1, 2.0 * 500.0 * 0.2);
+    let along_height = 1.0 / ((1.0_f64 + stretched).sqrt() * (1.0 + compressed));
+    for (p, distance) in
+        [(0, None), (4 * w + 2, None), (handle + 1, Some(1.0)), (handle + w + 1, Some(2f64.sqrt()))]
+    {
+        let near = distance.map_or(1.0, |d| 1.0 - HANDLE_SHARE / (1.0 + d));
+        for (first, expected) in [(0, along_height), (3, 1.0), (6, 1.0)] {
+            assert_near(&format!("axis {first} of {p}"), length(p, first), near * expected, 1.0, 1e-12);
+        }
+        assert_near("factor", axes[9 * n + p], near, 1.0, 1e-12);
+    }
+}
+
+/// Returns the products of the inverse Hessian of a sheet with a field: in space, in the sheet.
+fn inverses(grid: Grid, cloth: &Cloth, axes: &[f64], field: &[f64]) -> [Vec<f64>; 2] {
+    let mut hessian = SheetHessian::new(&Arc::new(Cosines::new(grid)), cloth, &SheetConstants::FITTED);
+    let mut both = [field.to_vec(), field.to_vec()];
+    hessian.apply_in_space(axes, &mut both[0]);
+    hessian.apply_in_sheet(axes, &mut both[1]);
+    both
 }
 
 #[test]
-fn co_rotated_inverses_are_symmetric_positive_and_turn_with_the_sheet() {
+fn inverses_of_a_sheet_are_symmetric_and_positive() {
     for grid in [Grid { h: 8, w: 8 }, Grid { h: 13, w: 10 }] {
         let n = grid.particles();
         let cloth = Cloth { handles: vec![3, n - 2], ..Cloth::default() };
         let mut x = State::<f64>::rest(grid, 1).x;
         x.iter_mut().zip(noise(3 * n, 7)).for_each(|(x, d)| *x += 0.3 * d);
-        let mut axes = vec![0.0; 6 * n];
-        sheet_axes((grid, &marks_of(grid, &[])), &x, &vec![0.0; 3 * n], &mut axes);
+        let mut axes = vec![0.0; AXES * n];
+        sheet_axes((grid, &marks_of(grid, &cloth.handles), cloth.material), &x, &vec![0.0; 3 * n], &mut axes);
         let (u, w) = (noise(3 * n, 8), noise(3 * n, 9));
-        let (of_u, of_w) = (co_rotated(grid, &cloth, &axes, &u), co_rotated(grid, &cloth, &axes, &w));
-        let (one, two) = (dot(&of_u, &w), dot(&u, &of_w));
-        assert_near("symmetry", one, two, one.abs(), 1e-10);
-        assert!(dot(&of_u, &u) > 0.0 && cloth.handles.iter().all(|&p| of_u[p] == 0.0));
+        let (of_u, of_w) = (inverses(grid, &cloth, &axes, &u), inverses(grid, &cloth, &axes, &w));
+        for (of_u, of_w) in of_u.iter().zip(&of_w) {
+            let (one, two) = (dot(of_u, &w), dot(&u, of_w));
+            assert_near("symmetry", one, two, one.abs(), 1e-10);
+            assert!(dot(of_u, &u) > 0.0 && cloth.handles.iter().all(|&p| of_u[p] == 0.0));
+        }
     }
 }
 
 #[test]
-fn co_rotated_inverses_are_exact_for_the_waves_of_a_flat_sheet() {
-    // On a flat sheet the spectral inverse is exact along the surface but for shear; the co-rotated one knows that
-    // the sheet is soft across it: it takes the normal wave further.
+fn inverses_of_a_sheet_are_known_for_the_waves_of_a_flat_one() {
+    // In space the inverse is that at rest but for its inertia; in the sheet it knows that the sheet is soft across its surface: it
+    // takes the normal wave further.
     let grid = Grid { h: 16, w: 12 };
     let n = grid.particles();
     let cloth = Cloth::default();
-    let mut axes = vec![0.0; 6 * n];
-    sheet_axes((grid, &marks_of(grid, &[])), &State::<f64>::rest(grid, 1).x, &vec![0.0; 3 * n], &mut axes);
+    let mut axes = vec![0.0; AXES * n];
+    let at_rest = State::<f64>::rest(grid, 1).x;
+    sheet_axes((grid, &marks_of(grid, &[]), cloth.material), &at_rest, &vec![0.0; 3 * n], &mut axes);
     let wave = |k: usize, i: usize| (std::f64::consts::PI * (k * (2 * i + 1)) as f64 / 32.0).cos();
     let field = |component: usize| {
         let mut field = vec![0.0; 3 * n];
@@ -316,28 +350,36 @@ fn co_rotated_inverses_are_exact_for_the_waves_of_a_flat_sheet() {
     let mu = 2.0 - 2.0 * (std::f64::consts::PI * 3.0 / 16.0).cos();
     let (count, stretch, bend) = (n as f64, 1000.0, 0.5);
     let along = 2.0 * stretch / (15.0 * 12.0) * mu;
-    let share = TENSION;
+    let (share, constants) = (TENSION, SheetConstants::FITTED);
     // A wave along the height, with displacements along it (y) and across it (x, z).
     let eigenvalues = [
-        (1, 1.0 / count + along),
+        (1, constants.tangential_inertia / count + along),
         (
             0,
-            1.0 / count
+            constants.tangential_inertia / count
                 + share * 2.0 * stretch / (16.0 * 11.0) * mu
                 + (8.0 * 8.0 * mu + 2.0 * bend * mu * mu) / count,
         ),
-        (2, (1.0 + 2.0 * share * stretch) / count + share * along + 2.0 * bend * mu * mu / count),
+        (
+            2,
+            (1.0 + 2.0 * share * stretch) / count
+                + share * along
+                + 2.0 * constants.normal_bend * bend * mu * mu / count,
+        ),
     ];
+    let in_space =
+        constants.spatial_inertia / count + along + (4.0 * 8.0 * mu + 2.0 * bend * mu * mu) / count;
     for (component, eigenvalue) in eigenvalues {
         let field = field(component);
-        let out = co_rotated(grid, &cloth, &axes, &field);
-        for (out, field) in out.iter().zip(&field) {
-            assert_near(&format!("component {component}"), out * eigenvalue, *field, 1.0, 1e-10);
+        for (out, eigenvalue) in inverses(grid, &cloth, &axes, &field).iter().zip([in_space, eigenvalue]) {
+            for (out, field) in out.iter().zip(&field) {
+                assert_near(&format!("component {component}"), out * eigenvalue, *field, 1.0, 1e-10);
+            }
         }
     }
     let mut alike = field(2);
     RestHessian::<f64>::new(grid, &cloth).apply(&mut alike);
-    let normal = co_rotated(grid, &cloth, &axes, &field(2));
+    let [_, normal] = inverses(grid, &cloth, &axes, &field(2));
     assert!(dot(&normal, &normal) > 100.0 * dot(&alike, &alike));
 }
 

@@ -13,7 +13,7 @@ pub use adam::Adam;
 pub use gd::GradientDescent;
 pub(super) use lbfgs::History;
 pub use lbfgs::Lbfgs;
-pub use rest_hessian::{CoRotatedHessian, Cosines, FactoredRestHessian, InverseHessian, RestHessian};
+pub use rest_hessian::{Cosines, FactoredRestHessian, InverseHessian, RestHessian, SheetHessian};
 pub use subspace::{BestStep, Subspace, best_step};
 pub(super) use sums::{dot, norm};
 pub use update::{Hidden, Update};

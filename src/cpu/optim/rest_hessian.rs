@@ -3,8 +3,9 @@
 
 use crate::cloth::{Cloth, Grid};
 use crate::cpu::Real;
+use crate::cpu::cloth::AXES;
 use crate::cpu::matmul::{LANES, Start, Target, Term, product};
-use crate::settings::TENSION;
+use crate::settings::{SheetConstants, TENSION};
 use crate::{Error, Result, memory};
 use faer::linalg::solvers::Solve;
 use faer::sparse::linalg::solvers::Llt;
@@ -31,14 +32,21 @@ pub struct RestHessian<T> {
     scratch: Scratch<T>,
 }
 
-/// As [`RestHessian`], with the components along the sheet's own axes ([`sheet_axes`]) and a lambda for each of
-/// them: `P R^T C^T diag(1 / lambda) C R P`, where R turns the vector of each particle into its axes.
+/// The inverse Hessian of a sheet that is not flat, approximately, in the axes of the world and in the sheet's own
+/// ([`sheet_axes`]). Neither serves alone: along its surface a sheet is a thousand times as stiff as across it, and its inertia is
+/// the same in all directions, however it is bent.
+///
+/// In space it is `P S C^T diag(1 / lambda) C S P`, as in [`RestHessian`] but for S, which multiplies each particle by its factor,
+/// and for a larger inertia in lambda. In the sheet it is `P A C^T diag(1 / lambda) C A^T P`, where the columns of A are the axes of
+/// each particle, and lambda differs from one to the next.
 ///
 /// [`sheet_axes`]: crate::cpu::cloth::sheet_axes
-pub struct CoRotatedHessian<T> {
+pub struct SheetHessian<T> {
     cosines: Arc<Cosines<T>>,
+    /// 1 / lambda, shape [H, stride].
+    in_space: Vec<T>,
     /// 1 / lambda along t_1, t_2 and the normal, each of shape [H, stride].
-    inverses: [Vec<T>; 3],
+    in_sheet: [Vec<T>; 3],
     held: Vec<usize>,
     scratch: Scratch<T>,
 }
@@ -91,7 +99,11 @@ fn damped(cloth: &Cloth) -> [f64; 2] {
 }
 
 /// Returns the eigenvalues of mode (k, l) along t_1, t_2 and the normal.
-fn eigenvalues_of_axes(grid: Grid, cloth: &Cloth, (k, l): (usize, usize)) -> [f64; 3] {
+fn eigenvalues_of_axes(
+    grid: Grid,
+    (cloth, constants): (&Cloth, &SheetConstants),
+    (k, l): (usize, usize),
+) -> [f64; 3] {
     let (Grid { h, w }, material) = (grid, cloth.material);
     let (mu_h, mu_w) = (mu(h, k), mu(w, l));
     let n = (h * w) as f64;
@@ -99,11 +111,14 @@ fn eigenvalues_of_axes(grid: Grid, cloth: &Cloth, (k, l): (usize, usize)) -> [f6
     let (along_h, along_w) = (2.0 * down / ((h - 1) * w) as f64, 2.0 * across / (h * (w - 1)) as f64);
     let tangential = |along: f64, own: f64, other: f64, bend: f64| {
         let shear = 8.0 * material.shear * other / n;
-        1.0 / n + along * (own + TENSION * other) + shear + 2.0 * bend * other * other / n
+        constants.tangential_inertia / n
+            + along * (own + TENSION * other)
+            + shear
+            + 2.0 * bend * other * other / n
     };
     let normal = (1.0 + 2.0 * TENSION * material.stretch) / n
         + TENSION * (along_h * mu_h + along_w * mu_w)
-        + 2.0 * (bend_down * mu_h * mu_h + bend_across * mu_w * mu_w) / n;
+        + 2.0 * constants.normal_bend * (bend_down * mu_h * mu_h + bend_across * mu_w * mu_w) / n;
     [tangential(along_h, mu_h, mu_w, bend_across), tangential(along_w, mu_w, mu_h, bend_down), normal]
 }
 
@@ -207,47 +222,67 @@ impl<T: Real> InverseHessian<T> for RestHessian<T> {
     }
 }
 
-impl<T: Real> CoRotatedHessian<T> {
+impl<T: Real> SheetHessian<T> {
     /// Builds the inverse Hessian of one cloth with the tables of its grid.
-    pub fn new(cosines: &Arc<Cosines<T>>, cloth: &Cloth) -> Self {
+    pub fn new(cosines: &Arc<Cosines<T>>, cloth: &Cloth, constants: &SheetConstants) -> Self {
         let grid = cosines.grid;
-        let inverse = |axis: usize| cosines.inverses(&|mode| eigenvalues_of_axes(grid, cloth, mode)[axis]);
+        let more = (constants.spatial_inertia - 1.0) / grid.particles() as f64;
+        let of = (cloth, constants);
+        let inverse = |axis: usize| cosines.inverses(&|mode| eigenvalues_of_axes(grid, of, mode)[axis]);
         Self {
-            inverses: [0, 1, 2].map(inverse),
+            in_space: cosines.inverses(&|mode| eigenvalue(grid, cloth, mode) + more),
+            in_sheet: [0, 1, 2].map(inverse),
             held: cloth.held(),
             scratch: cosines.scratch(),
             cosines: cosines.clone(),
         }
     }
 
-    /// Multiplies `direction` [3, H, W] by the inverse Hessian, given the `axes` [6, H, W] of the sheet. The result
-    /// is 0 at handles.
-    pub fn apply(&mut self, axes: &[T], direction: &mut [T]) {
-        let Self { cosines, inverses, held, scratch } = self;
+    /// Multiplies `direction` [3, H, W] by the inverse Hessian in space, given the `axes` [10, H, W] of the sheet. The result is 0
+    /// at handles.
+    pub fn apply_in_space(&mut self, axes: &[T], direction: &mut [T]) {
+        let Self { cosines, in_space, held, scratch, .. } = self;
+        let n = cosines.grid.particles();
+        let factors = &axes[(AXES - 1) * n..];
+        let multiply = |component: &mut [T]| {
+            component.iter_mut().zip(factors).for_each(|(v, &factor)| *v = *v * factor);
+        };
+        hold(held, direction);
+        direction.par_chunks_exact_mut(n).zip(scratch).for_each(|(component, scratch)| {
+            multiply(component);
+            cosines.apply(component, in_space, scratch);
+            multiply(component);
+        });
+        hold(held, direction);
+    }
+
+    /// Multiplies `direction` [3, H, W] by the inverse Hessian in the sheet, given its `axes` [10, H, W]. The result is 0 at
+    /// handles.
+    pub fn apply_in_sheet(&mut self, axes: &[T], direction: &mut [T]) {
+        let Self { cosines, in_sheet, held, scratch, .. } = self;
         let n = cosines.grid.particles();
         hold(held, direction);
         turn(axes, direction, false);
-        let components = direction.par_chunks_exact_mut(n).zip(scratch).zip(inverses);
+        let components = direction.par_chunks_exact_mut(n).zip(scratch).zip(in_sheet);
         components.for_each(|((component, scratch), inverse)| cosines.apply(component, inverse, scratch));
         turn(axes, direction, true);
         hold(held, direction);
     }
 }
 
-/// Turns the vectors of a field [3, n] into the axes [6, n], or back.
+/// Sets the vectors of a field [3, n] to their products with the three axes of each particle, or those with the transpose.
 fn turn<T: Real>(axes: &[T], field: &mut [T], back: bool) {
     let n = field.len() / 3;
     let (x, rest) = field.split_at_mut(n);
     let (y, z) = rest.split_at_mut(n);
-    let axis: [&[T]; 6] = std::array::from_fn(|k| &axes[k * n..][..n]);
+    let axis: [&[T]; 9] = std::array::from_fn(|k| &axes[k * n..][..n]);
     for p in 0..n {
-        let (t, s) = ([axis[0][p], axis[1][p], axis[2][p]], [axis[3][p], axis[4][p], axis[5][p]]);
-        let normal = [t[1] * s[2] - t[2] * s[1], t[2] * s[0] - t[0] * s[2], t[0] * s[1] - t[1] * s[0]];
+        let a: [T; 9] = std::array::from_fn(|k| axis[k][p]);
         let v = [x[p], y[p], z[p]];
-        let of = |u: [T; 3]| u[0] * v[0] + u[1] * v[1] + u[2] * v[2];
+        let with = |a: [T; 3]| a[0] * v[0] + a[1] * v[1] + a[2] * v[2];
         [x[p], y[p], z[p]] = match back {
-            false => [of(t), of(s), of(normal)],
-            true => [0, 1, 2].map(|c| t[c] * v[0] + s[c] * v[1] + normal[c] * v[2]),
+            false => [0, 3, 6].map(|k| with([a[k], a[k + 1], a[k + 2]])),
+            true => [0, 1, 2].map(|k| with([a[k], a[k + 3], a[k + 6]])),
         };
     }
 }

@@ -1,12 +1,12 @@
 //! The best step among a few directions: the minimum of the energy's local quadratic model over them.
 
 use super::rest_hessian::{Cosines, hold};
-use super::{CoRotatedHessian, InverseHessian, RestHessian, Update};
+use super::{SheetHessian, Update};
 use crate::Result;
 use crate::cloth::{Cloth, Control, EnergyTerms, Model, State};
-use crate::cpu::cloth::{CurvatureRows, LocalModel, sheet_axes};
+use crate::cpu::cloth::{AXES, CurvatureRows, LocalModel, sheet_axes};
 use crate::cpu::{Objective, Real};
-use crate::settings::{LEARNED_ITERATIONS, WARMEST};
+use crate::settings::{LEARNED_ITERATIONS, SheetConstants, WARMEST};
 use crate::sim::{Direction, MAX_DIRECTIONS, Optimizer, StepCounts};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -43,8 +43,8 @@ struct OfCloth<T> {
     /// handles; shape [3, H, W].
     last: Vec<T>,
     axes: Vec<T>,
-    spectral: Option<RestHessian<T>>,
-    co_rotated: Option<CoRotatedHessian<T>>,
+    /// If the spectral or the co-rotated direction is among them.
+    hessian: Option<SheetHessian<T>>,
     rows: CurvatureRows<T>,
     accepted: Accepted,
     steps: StepCounts,
@@ -80,18 +80,17 @@ impl<T: Real> Subspace<T> {
     pub fn set_cloths(&mut self, model: &Model) {
         let cosines = Arc::new(Cosines::new(model.grid));
         let old = std::mem::take(&mut self.cloths);
-        let has = |name| self.directions.iter().any(|direction| direction.name() == name);
+        let needs_hessian =
+            self.directions.iter().any(|d| matches!(d, Direction::Spectral | Direction::CoRotated));
         let n = model.grid.particles();
         let zeros = |fields: usize| vec![T::zero(); fields * n];
         let new = |cloth: &Cloth| OfCloth {
             directions: zeros(3 * self.directions.len()),
             last: zeros(3),
-            axes: zeros(6),
-            spectral: has(Direction::Spectral.name()).then(|| RestHessian::with(&cosines, cloth)),
-            co_rotated: has(Direction::CoRotated.name()).then(|| CoRotatedHessian::new(&cosines, cloth)),
+            axes: zeros(AXES),
+            hessian: needs_hessian.then(|| SheetHessian::new(&cosines, cloth, &SheetConstants::FITTED)),
             rows: CurvatureRows::new(model.grid),
             accepted: Accepted { energy: f64::INFINITY, magnitude: 0.0, slope: 0.0 },
-
             steps: StepCounts::default(),
             held: cloth.held(),
         };
@@ -114,9 +113,10 @@ impl<T: Real> Subspace<T> {
         objective.move_to_trial(state, control);
         let starts = state.x.par_chunks_exact(len).zip(objective.trial.shift.par_chunks_exact(len));
         let starts = starts.zip(objective.trial.marks.par_chunks_exact(len / 3));
-        self.cloths.par_iter_mut().zip(starts).for_each(|(cloth, ((x, shift), marks))| {
-            if cloth.co_rotated.is_some() {
-                sheet_axes((grid, marks), x, shift, &mut cloth.axes);
+        let starts = starts.zip(&objective.model().cloths);
+        self.cloths.par_iter_mut().zip(starts).for_each(|(own, (((x, shift), marks), cloth))| {
+            if own.hessian.is_some() {
+                sheet_axes((grid, marks, cloth.material), x, shift, &mut own.axes);
             }
         });
         objective.confine(state, |_, _, _| ());
@@ -187,9 +187,9 @@ impl<T: Real> Subspace<T> {
                         Direction::Network(_) => p.copy_from_slice(&proposed[b * len..][..len]),
                         _ => p.iter_mut().zip(grad).for_each(|(p, &g)| *p = -g),
                     }
-                    match (kind, &mut cloth.spectral, &mut cloth.co_rotated) {
-                        (Direction::Spectral, Some(inverse), _) => inverse.apply(p),
-                        (Direction::CoRotated, _, Some(inverse)) => inverse.apply(&cloth.axes, p),
+                    match (kind, &mut cloth.hessian) {
+                        (Direction::Spectral, Some(hessian)) => hessian.apply_in_space(&cloth.axes, p),
+                        (Direction::CoRotated, Some(hessian)) => hessian.apply_in_sheet(&cloth.axes, p),
                         _ => hold(&cloth.held, p),
                     }
                 }

@@ -1,15 +1,17 @@
 //! Host side of `shaders/cloth/sheet_axes.wgsl`.
 
+use super::ClothParams;
 use crate::Result;
 use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::optim::{Iterate, directions};
 use crate::kernels::{common, size};
+use crate::settings::{HANDLE_REACH, HANDLE_SHARE};
 
 pub(crate) const SOURCE: Source = Source {
     name: "sheet_axes",
     wgsl: include_str!("../../../shaders/cloth/sheet_axes.wgsl"),
-    appended: &[common::MARK, common::OFFSET, common::FINITE],
+    appended: &[common::CLOTH, common::MARK, common::OFFSET, common::FINITE],
 };
 
 #[repr(C)]
@@ -21,6 +23,9 @@ struct Params {
     zero: u32,
 }
 
+/// Numbers for each particle: three axes, and a factor along those of the world.
+pub const AXES: usize = 10;
+
 /// Computes the sheet's own axes at each particle, and makes the last frame's acceleration a direction.
 #[derive(Clone, Debug)]
 pub struct SheetAxes {
@@ -30,25 +35,27 @@ pub struct SheetAxes {
 impl SheetAxes {
     /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
-        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+        let constants = [("HANDLE_SHARE", HANDLE_SHARE), ("HANDLE_REACH", HANDLE_REACH as f64)];
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &constants)? })
     }
 
-    /// Sets `axes` [B, 6, n] from the predicted positions `x + iterate.base`, moves `iterate.a` to the last
+    /// Sets `axes` [B, 10, n] from the materials of `cloths` \[B\] and the predicted positions `x + iterate.base`, moves `iterate.a` to the last
     /// step's slot of `directions` ([`directions::shape`]) and sets it to 0.
     pub fn push(
         &self,
         schedule: &mut Schedule,
         grid: Grid,
-        (iterate, x): (&Iterate, &Tensor),
+        (cloths, iterate, x): (&Tensor, &Iterate, &Tensor),
         [axes, directions]: [&Tensor; 2],
     ) {
         let (samples, n) = iterate.samples_and_particles();
         assert_eq!((n, x.len()), (grid.particles(), samples * n));
-        assert_eq!(axes.shape(), [samples / 3, 6, n]);
+        assert_eq!(axes.shape(), [samples / 3, AXES, n]);
+        assert_eq!(cloths.bytes() as usize, samples / 3 * size_of::<ClothParams>());
         let slot = directions::slot(directions, iterate);
         let params = Params { rows: size(grid.h), columns: size(grid.w), slot: size(slot), zero: 0 };
         let Iterate { marks, a, base, .. } = iterate;
-        let tensors = [marks, x, base, axes, directions, a];
+        let tensors = [cloths, marks, x, base, axes, directions, a];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, samples / 3));
     }
 }

@@ -6,7 +6,7 @@ use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::cloth::ClothParams;
 use crate::kernels::{common, size};
-use crate::settings::TENSION;
+use crate::settings::{SheetConstants, TENSION};
 use std::f64::consts::PI;
 
 pub(crate) const SOURCE: Source = Source {
@@ -40,7 +40,14 @@ pub fn squared_frequencies(context: &Context, grid: Grid) -> Result<Tensor> {
 impl CosineColumns {
     /// Builds the kernel, of the inverse transform if `inverse`.
     pub fn new(context: &Context, inverse: bool) -> Result<Self> {
-        let constants = [("INVERSE", f64::from(u8::from(inverse))), ("TAU", TENSION), ("NORMAL", TENSION)];
+        let of_sheet = SheetConstants::FITTED;
+        let constants = [
+            ("INVERSE", f64::from(u8::from(inverse))),
+            ("TAU", TENSION),
+            ("SPATIAL", of_sheet.spatial_inertia),
+            ("TANGENTIAL", of_sheet.tangential_inertia),
+            ("BEND", of_sheet.normal_bend),
+        ];
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &constants)? })
     }
 

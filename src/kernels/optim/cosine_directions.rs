@@ -5,6 +5,7 @@ use super::{Iterate, directions};
 use crate::Result;
 use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::cloth::sheet_axes::AXES;
 use crate::kernels::{common, pieces, size};
 
 pub(crate) const SOURCE: Source = Source {
@@ -34,7 +35,7 @@ impl CosineDirections {
     }
 
     /// Sets the first two slots of `directions` ([`directions::shape`]) from `z` [B, 6, H, W], the `axes`
-    /// [B, 6, n] of the sheet and [`super::cosine_rows::table`] of W points.
+    /// [B, 10, n] of the sheet and [`super::cosine_rows::table`] of W points.
     pub fn push(
         &self,
         schedule: &mut Schedule,
@@ -44,7 +45,7 @@ impl CosineDirections {
     ) {
         let (samples, n) = iterate.samples_and_particles();
         let batch = samples / 3;
-        assert_eq!((n, axes.shape()), (grid.particles(), &[batch, 6, n][..]));
+        assert_eq!((n, axes.shape()), (grid.particles(), &[batch, AXES, n][..]));
         assert_eq!((table.shape(), z.shape()), (&[grid.w; 2][..], &fields_shape(batch, grid)[..]));
         let slot = directions::slot(directions, iterate);
         let params = Params { rows: size(grid.h), columns: size(grid.w), slot: size(slot) };

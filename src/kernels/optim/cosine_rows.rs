@@ -4,6 +4,7 @@ use super::Iterate;
 use crate::Result;
 use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::cloth::sheet_axes::AXES;
 use crate::kernels::{common, pieces, size};
 use std::f64::consts::PI;
 
@@ -50,7 +51,7 @@ impl CosineRows {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Sets `z` [B, 6, H, W] from `iterate.grad`, the `axes` [B, 6, n] of the sheet and the [`table`] of W
+    /// Sets `z` [B, 6, H, W] from `iterate.grad`, the `axes` [B, 10, n] of the sheet and the [`table`] of W
     /// points.
     pub fn push(
         &self,
@@ -61,7 +62,7 @@ impl CosineRows {
     ) {
         let (samples, n) = iterate.samples_and_particles();
         let batch = samples / 3;
-        assert_eq!((n, axes.shape()), (grid.particles(), &[batch, 6, n][..]));
+        assert_eq!((n, axes.shape()), (grid.particles(), &[batch, AXES, n][..]));
         assert_eq!((table.shape(), z.shape()), (&[grid.w; 2][..], &fields_shape(batch, grid)[..]));
         let params = Params { rows: size(grid.h), columns: size(grid.w) };
         let tensors = [&iterate.grad, &iterate.marks, axes, table, z];

@@ -7,6 +7,7 @@ use super::{CosineColumns, CosineDirections, CosineRows, SubspaceStep, When, dir
 use crate::Result;
 use crate::cloth::Grid;
 use crate::gpu::{Context, Schedule, Tensor};
+use crate::kernels::cloth::sheet_axes::AXES;
 use crate::kernels::cloth::{Objective, SheetAxes, curvature};
 
 /// Minimises a quadratic model of the energy in the span of three or four directions: the gradient times the
@@ -31,7 +32,7 @@ pub struct Subspace {
     tables: [Tensor; 2],
     /// Squared frequencies, shape [H + W].
     mu: Tensor,
-    /// Axes of the sheet, shape [B, 6, n].
+    /// Axes of the sheet, shape [B, 10, n].
     axes: Tensor,
     /// Six fields before and after a transform, shape [B, 6, H, W].
     fields: [Tensor; 2],
@@ -65,7 +66,7 @@ impl Subspace {
             step: SubspaceStep::new(context)?,
             tables: [table(context, grid.h)?, table(context, grid.w)?],
             mu: squared_frequencies(context, grid)?,
-            axes: zeros("subspace.axes", &[batch, 6, grid.particles()])?,
+            axes: zeros("subspace.axes", &[batch, AXES, grid.particles()])?,
             fields: [fields()?, fields()?],
             directions: zeros("subspace.directions", &directions::shape(count, batch, grid))?,
             parts: zeros("subspace.parts", &curvature::parts_shape(batch, grid))?,
@@ -77,7 +78,7 @@ impl Subspace {
     /// becomes the last step, and 0, or with bodies what keeps the particles out of them. One dispatch, and another with
     /// bodies.
     pub fn begin(&self, schedule: &mut Schedule, objective: &Objective) {
-        let of = (&objective.iterate, &objective.x);
+        let of = (objective.cloths(), &objective.iterate, &objective.x);
         self.axes_kernel.push(schedule, objective.grid(), of, [&self.axes, &self.directions]);
         objective.confine(schedule, None);
     }

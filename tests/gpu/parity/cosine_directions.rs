@@ -3,10 +3,11 @@
 use super::cloth::{constants, field, iterate, model};
 use crate::common::{assert_close, cases, context, device, largest, noise, poisoned, read, run, tensor};
 use fnopt::cloth::{Cloth, Grid, Material, Model};
+use fnopt::kernels::cloth::sheet_axes::AXES;
 use fnopt::kernels::optim::cosine_columns::squared_frequencies;
 use fnopt::kernels::optim::cosine_rows::{fields_shape, table};
 use fnopt::kernels::optim::{CosineColumns, CosineDirections, CosineRows, directions};
-use fnopt::settings::TENSION;
+use fnopt::settings::{SheetConstants, TENSION};
 use std::f64::consts::PI;
 
 /// Returns the orthonormal DCT-II of n points, row by row.
@@ -28,15 +29,25 @@ fn eigenvalue(grid: Grid, cloth: &Cloth, field: usize, (k, l): (usize, usize)) -
     let (m, q) = (2.0 - 2.0 * (PI * k as f64 / h).cos(), 2.0 - 2.0 * (PI * l as f64 / w).cos());
     let (w_u, w_v, tau) = (twice * of_u / ((h - 1.0) * w), twice * of_v / (h * (w - 1.0)), TENSION);
     match field {
-        3 => 1.0 / n + w_u * (m + tau * q) + 8.0 * shear * q / n + 2.0 * across * q * q / n,
-        4 => 1.0 / n + w_v * (q + tau * m) + 8.0 * shear * m / n + 2.0 * down * m * m / n,
+        3 => {
+            SheetConstants::FITTED.tangential_inertia / n
+                + w_u * (m + tau * q)
+                + 8.0 * shear * q / n
+                + 2.0 * across * q * q / n
+        }
+        4 => {
+            SheetConstants::FITTED.tangential_inertia / n
+                + w_v * (q + tau * m)
+                + 8.0 * shear * m / n
+                + 2.0 * down * m * m / n
+        }
         5 => {
             (1.0 + 2.0 * TENSION * stretch) / n
                 + tau * (w_u * m + w_v * q)
-                + 2.0 * (down * m * m + across * q * q) / n
+                + 2.0 * SheetConstants::FITTED.normal_bend * (down * m * m + across * q * q) / n
         }
         _ => {
-            1.0 / n
+            SheetConstants::FITTED.spatial_inertia / n
                 + w_u * m
                 + w_v * q
                 + 2.0 / n * (down * m * m + across * q * q)
@@ -70,7 +81,7 @@ fn divided(grid: Grid, values: &[f64], eigenvalue: &dyn Fn((usize, usize)) -> f6
     product(&transposed(&along, h), &product(&z, &across, (w, w)), (h, w))
 }
 
-/// Returns both directions of one cloth, from its gradient [3, n] and axes [6, n].
+/// Returns both directions of one cloth, from its gradient [3, n] and axes [10, n].
 fn expected(model: &Model, b: usize, grad: &[f32], axes: &[f32]) -> [Vec<f64>; 2] {
     let (grid, n) = (model.grid, model.grid.particles());
     let marks = &model.marks()[b * n..][..n];
@@ -78,12 +89,9 @@ fn expected(model: &Model, b: usize, grad: &[f32], axes: &[f32]) -> [Vec<f64>; 2
     for field in 0..6 {
         let weights = |p: usize| {
             let at = |c: usize| f64::from(axes[c * n + p]);
-            let (s, t) = ([at(0), at(1), at(2)], [at(3), at(4), at(5)]);
             match field {
-                3 => s,
-                4 => t,
-                5 => [s[1] * t[2] - s[2] * t[1], s[2] * t[0] - s[0] * t[2], s[0] * t[1] - s[1] * t[0]],
-                _ => [0, 1, 2].map(|c| f64::from(u8::from(c == field))),
+                3..6 => [0, 1, 2].map(|c| at(3 * (field - 3) + c)),
+                _ => [0, 1, 2].map(|c| if c == field { at(AXES - 1) } else { 0.0 }),
             }
         };
         let free = |p: usize| f64::from(u8::from(marks[p].is_free()));
@@ -99,24 +107,6 @@ fn expected(model: &Model, b: usize, grad: &[f32], axes: &[f32]) -> [Vec<f64>; 2
     [spectral, rotated]
 }
 
-/// Returns random axes [B, 6, n]: pairs of orthogonal unit vectors.
-fn axes(batch: usize, n: usize) -> Vec<f32> {
-    let random = noise(6 * batch * n, 131);
-    let mut axes = random.clone();
-    for (from, to) in random.chunks_exact(6 * n).zip(axes.chunks_exact_mut(6 * n)) {
-        for p in 0..n {
-            let at = |c: usize| f64::from(from[c * n + p]);
-            let unit = |v: [f64; 3]| v.map(|x| x / v.iter().map(|v| v * v).sum::<f64>().sqrt());
-            let s = unit([at(0), at(1), at(2) + 0.01]);
-            let along: f64 = (0..3).map(|c| s[c] * at(3 + c)).sum();
-            let t = unit([0, 1, 2].map(|c| at(3 + c) - along * s[c]));
-            (0..3).for_each(|c| to[c * n + p] = s[c] as f32);
-            (0..3).for_each(|c| to[(3 + c) * n + p] = t[c] as f32);
-        }
-    }
-    axes
-}
-
 #[test]
 fn directions_match() {
     let _turn = device();
@@ -129,8 +119,9 @@ fn directions_match() {
         let (model, n) = (model(grid, batch), grid.particles());
         let (iterate, grad) = (iterate(&model), field(&model, 1.0, 122));
         iterate.grad.write(context(), &grad);
-        let own = axes(batch, n);
-        let axes = tensor("axes", &[batch, 6, n], &own);
+        // Three vectors and a factor for each particle, whatever they are.
+        let own = noise(AXES * batch * n, 131);
+        let axes = tensor("axes", &[batch, AXES, n], &own);
         let [along_column, along_row] = [grid.h, grid.w].map(|n| table(context(), n).unwrap());
         let (mu, cloths) = (squared_frequencies(context(), grid).unwrap(), constants(&model));
         let [z, other] = [(); 2].map(|()| poisoned("fields", &fields_shape(batch, grid)));
@@ -143,7 +134,7 @@ fn directions_match() {
         });
         let mut exact = [vec![], vec![]];
         for b in 0..batch {
-            let of_cloth = expected(&model, b, &grad[3 * b * n..][..3 * n], &own[6 * b * n..][..6 * n]);
+            let of_cloth = expected(&model, b, &grad[3 * b * n..][..3 * n], &own[AXES * b * n..][..AXES * n]);
             exact.iter_mut().zip(of_cloth).for_each(|(all, one)| all.extend(one));
         }
         for (at, exact) in exact.iter().enumerate() {

@@ -1,10 +1,12 @@
 //! `sheet_axes` against its formula.
 
-use super::cloth::{crumpled, field, iterate, model, upload};
+use super::cloth::{constants, crumpled, field, iterate, model, upload};
 use crate::common::{assert_close, cases, context, device, poisoned, read, run};
 use fnopt::cloth::Model;
 use fnopt::kernels::cloth::SheetAxes;
+use fnopt::kernels::cloth::sheet_axes::AXES;
 use fnopt::kernels::optim::directions;
+use fnopt::settings::{HANDLE_REACH, HANDLE_SHARE};
 
 type Vector = [f64; 3];
 
@@ -21,16 +23,32 @@ fn sum(u: Vector, w: Vector, factor: f64) -> Vector {
     [0, 1, 2].map(|c| u[c] + factor * w[c])
 }
 
-/// Returns both axes at particle (i, j) of a cloth at the positions `y` [3, n].
-fn axes(model: &Model, (b, y): (usize, &[f64]), (i, j): (usize, usize)) -> Option<[Vector; 2]> {
+/// Positions of a particle and its neighbours, itself for one that the cloth doesn't have: before and behind it along
+/// either axis.
+struct Around {
+    here: Vector,
+    along_u: [Vector; 2],
+    along_v: [Vector; 2],
+}
+
+/// Returns what is around particle (i, j) of a cloth at the positions `y` [3, n].
+fn around(model: &Model, (b, y): (usize, &[f64]), (i, j): (usize, usize)) -> Around {
     let (grid, n) = (model.grid, model.grid.particles());
     let at = |k: usize, l: usize| {
-        // The particle itself for one that the cloth doesn't have.
         let q = if model.cloths[b].contains(k * grid.w + l) { k * grid.w + l } else { i * grid.w + j };
         [0, 1, 2].map(|c| y[c * n + q])
     };
-    let u = unit(sum(at((i + 1).min(grid.h - 1), j), at(i.saturating_sub(1), j), -1.0))?;
-    let v = unit(sum(at(i, (j + 1).min(grid.w - 1)), at(i, j.saturating_sub(1)), -1.0))?;
+    Around {
+        here: at(i, j),
+        along_u: [at(i.saturating_sub(1), j), at((i + 1).min(grid.h - 1), j)],
+        along_v: [at(i, j.saturating_sub(1)), at(i, (j + 1).min(grid.w - 1))],
+    }
+}
+
+/// Returns both axes there, of unit length.
+fn axes(Around { along_u: [above, below], along_v: [before, behind], .. }: &Around) -> Option<[Vector; 2]> {
+    let u = unit(sum(*below, *above, -1.0))?;
+    let v = unit(sum(*behind, *before, -1.0))?;
     let s = unit(sum(u, v, 1.0))?;
     let d = unit(cross(s, unit(cross(u, v))?))?;
     let both = [1.0, -1.0].map(|sign| sum(s, d, sign).map(|t| t * 0.5f64.sqrt()));
@@ -38,16 +56,42 @@ fn axes(model: &Model, (b, y): (usize, &[f64]), (i, j): (usize, usize)) -> Optio
     Some(if along_u[0] >= along_u[1] { both } else { [both[1], both[0]] })
 }
 
-/// Returns the axes of all particles, [B, 6, n], those of the world where they are undefined.
+/// Returns the mean strain of the edges to both neighbours, as far as the cloth has them.
+fn strain(here: Vector, neighbours: [Vector; 2]) -> f64 {
+    let length = |v: Vector| v.iter().map(|v| v * v).sum::<f64>().sqrt();
+    let all = neighbours.map(|at| length(sum(at, here, -1.0))).into_iter().filter(|&length| length > 0.0);
+    let strains: Vec<f64> = all.map(|length| length - 1.0).collect();
+    let mean = strains.iter().sum::<f64>() / strains.len().max(1) as f64;
+    if mean.is_finite() { mean } else { 0.0 }
+}
+
+/// Returns what handles leave of a step at particle p.
+fn near(model: &Model, b: usize, p: usize) -> f64 {
+    let w = model.grid.w;
+    let away = |q: &usize| [(q / w).abs_diff(p / w), (q % w).abs_diff(p % w)];
+    let within = model.cloths[b].handles.iter().map(away).filter(|d| d.iter().all(|&d| d <= HANDLE_REACH));
+    let distances = within.map(|[i, j]| (i as f64).hypot(j as f64));
+    distances.map(|d| 1.0 - HANDLE_SHARE / (1.0 + d)).fold(1.0, f64::min)
+}
+
+/// Returns the axes and the factor of all particles, [B, 10, n].
 fn all_axes(model: &Model, x: &[f32], base: &[f32]) -> Vec<f64> {
     let (grid, n) = (model.grid, model.grid.particles());
-    let mut expected = vec![0.0; 2 * x.len()];
+    let mut expected = vec![0.0; model.batch() * AXES * n];
     let y: Vec<f64> = x.iter().zip(base).map(|(&x, &base)| f64::from(x) + f64::from(base)).collect();
-    for (b, (y, expected)) in y.chunks_exact(3 * n).zip(expected.chunks_exact_mut(6 * n)).enumerate() {
+    for (b, (y, expected)) in y.chunks_exact(3 * n).zip(expected.chunks_exact_mut(AXES * n)).enumerate() {
+        let stretches = model.cloths[b].material.stretches();
         for p in 0..n {
-            let world = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
-            let found = axes(model, (b, y), (p / grid.w, p % grid.w)).unwrap_or(world);
-            found.as_flattened().iter().enumerate().for_each(|(c, &t)| expected[c * n + p] = t);
+            let around = around(model, (b, y), (p / grid.w, p % grid.w));
+            let [one, two] = axes(&around).unwrap_or([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]);
+            let strains = [strain(around.here, around.along_u), strain(around.here, around.along_v)];
+            let [u, v] = [0, 1].map(|axis| 2.0 * stretches[axis] * strains[axis]);
+            let near = near(model, b, p);
+            let along = |own: f64, other: f64| near / ((1.0 + own.max(0.0)).sqrt() * (1.0 - other.min(0.0)));
+            let [l1, l2] = [along(u, v), along(v, u)];
+            let all = [one.map(|t| t * l1), two.map(|t| t * l2), cross(one, two).map(|t| t * near)];
+            all.as_flattened().iter().enumerate().for_each(|(c, &t)| expected[c * n + p] = t);
+            expected[(AXES - 1) * n + p] = near;
         }
     }
     expected
@@ -75,10 +119,10 @@ fn axes_match_and_the_last_acceleration_becomes_a_direction() {
             let iterate = iterate(&model);
             iterate.base.write(context(), &base);
             iterate.a.write(context(), &a);
-            let found = poisoned("axes", &[batch, 6, n]);
+            let found = poisoned("axes", &[batch, AXES, n]);
             let all = poisoned("directions", &directions::shape(3, batch, grid));
-            let start = upload("x", &model, &x);
-            run(|schedule| kernel.push(schedule, grid, (&iterate, &start), [&found, &all]));
+            let (start, cloths) = (upload("x", &model, &x), constants(&model));
+            run(|schedule| kernel.push(schedule, grid, (&cloths, &iterate, &start), [&found, &all]));
             let what = format!("axes {amplitude} {degenerate} {batch} x {grid}");
             // A rounding of the edges, over the sine between them.
             assert_close(&what, &read(&found), &all_axes(&model, &x, &base), (5e-6, 0.0));
