@@ -137,9 +137,15 @@ fn spectral(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) 
 #else
                 let w$8 = vec4f(weight[(pair + $8) * channels + channel]);
 #endif
+#if broadcast
                 let u$k_$8 = $same(inputs[($k * ROW_PARTS * MODES + mode) * channels + i + 2u * $8]);
                 let v$k_$8 = $same(inputs[($k * ROW_PARTS * MODES + mode) * channels + i + 2u * $8 + 1u]);
-                part$k += vec2f(u$k_$8.x * w$8.x - u$k_$8.y * w$8.y, u$k_$8.x * w$8.y + u$k_$8.y * w$8.x) + vec2f(v$k_$8.x * w$8.z - v$k_$8.y * w$8.w, v$k_$8.x * w$8.w + v$k_$8.y * w$8.z);
+                part$k += weighted(u$k_$8, v$k_$8, w$8);
+#else
+                // Read where they are used: all of them at once would not fit in registers.
+                let at$k = ($k * ROW_PARTS * MODES + mode) * channels + i;
+                part$k += weighted(inputs[at$k + 2u * $8], inputs[at$k + 2u * $8 + 1u], w$8);
+#endif
             }
             p$k += part$k;
         }
@@ -174,6 +180,11 @@ fn spectral(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) 
             }
         }
     }
+}
+
+// Returns the sum of two inputs, with their weights.
+fn weighted(u: vec2f, v: vec2f, w: vec4f) -> vec2f {
+    return vec2f(u.x * w.x - u.y * w.y, u.x * w.y + u.y * w.x) + vec2f(v.x * w.z - v.y * w.w, v.x * w.w + v.y * w.z);
 }
 
 // Returns this element of the table.
