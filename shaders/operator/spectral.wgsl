@@ -82,6 +82,7 @@ fn spectral(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) 
             let bottom = min(top + row_part, params.rows);
             // Sums of re cos, im sin, im cos and re sin.
             var part$c = vec4f();
+#if broadcast
             for (var y = top; y < bottom; y++) {
                 let at = ((sample * params.rows + y) * params.modes_w + column) * 2u * channels + channel;
                 let re = r[at];
@@ -89,6 +90,19 @@ fn spectral(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) 
                 let t$c = $same(wave(y * $n + $c));
                 part$c += vec4f(re, im, im, re) * t$c.xyxy;
             }
+#else
+            // Four rows at a time, whose loads are all under way before the first is awaited. Those beyond the
+            // last one count as zero.
+            for (var y = top; y < bottom; y += 4u) {
+                let y$4 = min(y + $4, bottom - 1u);
+                let at$4 = ((sample * params.rows + y$4) * params.modes_w + column) * 2u * channels + channel;
+                let re$4 = r[at$4];
+                let im$4 = r[at$4 + channels];
+                let t$4_$c = wave(y$4 * $n + $c);
+                let v$4 = select(vec4f(), vec4f(re$4, im$4, im$4, re$4), y + $4 < bottom);
+                part$c += v$4 * t$4_$c.xyxy;
+            }
+#endif
             z$c += vec4f(part$c.xz, part$c.xz) + vec4f(-part$c.y, part$c.w, part$c.y, -part$c.w);
         }
         if begin + index < transforms {
