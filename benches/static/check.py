@@ -4,10 +4,10 @@
     benches/static/check.py [--families vega10,gfx1100] [--program PATH] [--write]
 
 AMD's compiler in Mesa's Vulkan driver works without a device (RADV_FORCE_FAMILY). The program builds the pipelines of
-frames there, over a layer that completes submissions without running them (layer.c). Fails if a kernel is refused, or if it
-spills more, keeps more in scratch memory or has fewer waves than compilers.csv says, which --write replaces; what was not
-there may not spill. Needs gcc, the headers of Vulkan's loader and Mesa's drivers (Debian: gcc libvulkan-dev
-mesa-vulkan-drivers).
+frames and of a training step there, over a layer that completes submissions without running them (layer.c). Fails if a
+kernel is refused, or if it spills more, keeps more in scratch memory or has fewer waves than compilers.csv says, which
+--write replaces; what was not there may not spill. Needs gcc, the headers of Vulkan's loader and Mesa's drivers (Debian:
+gcc libvulkan-dev mesa-vulkan-drivers).
 """
 
 import argparse
@@ -16,6 +16,7 @@ import glob
 import json
 import os
 import pathlib
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -25,14 +26,28 @@ TABLE = HERE / "compilers.csv"
 COLUMNS = ["family", "kernel", "workgroup", "lds_bytes", "vgprs", "waves", "spilled", "scratch_bytes", "instructions", "latency_cycles", "cases"]
 # Its own kernels validate indirect dispatches, which nobody here uses.
 OF_WGPU = {"main"}
+# A step with a batch of the paper, and next to no validation.
+TRAINING = """
+steps = 1
+
+[[pool]]
+iterations = 1
+cloths = 10
+
+[validation]
+frames = 1
+iterations = 1
+grids = [[8, 8]]
+"""
 
 
 def cases():
-    """Yields names and arguments of runs that together build every kernel of frames."""
+    """Yields names and arguments of runs that together build every kernel of frames and of a training step."""
     bench = ["bench", "--device", "gpu", "--frames", "1", "--json"]
     for grid in ["32", "100"]:
         for solver in ["fnopt", "fnopt-paper", "spectral", "quasi-newton", "lbfgs", "adam", "gd"]:
             yield f"{solver} {grid}", [*bench, "--solver", solver, "--grid", grid]
+    yield "training", ["train", "training.toml", "--device", "gpu", "--out", "training"]
     yield "batch", [*bench, "--grid", "32", "--batch", "256"]
     yield "f16", [*bench, "--grid", "32", "--precision", "f16"]
     yield "repulsion", ["rollout", "--device", "gpu", "--repulsion", "--frames", "3", "--no-pictures", "--out", "rollout"]
@@ -63,6 +78,8 @@ def compiled(program, family, folder):
         "FNOPT_CACHE": str(folder / "cache"),
         "RADV_FORCE_FAMILY": family,
     }
+    shutil.rmtree(folder / "training", ignore_errors=True)
+    (folder / "training.toml").write_text(TRAINING)
     pipelines = []
     for case, arguments in cases():
         log = folder / "statistics.jsonl"

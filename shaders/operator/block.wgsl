@@ -99,36 +99,57 @@ fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) gro
         // Memory holds the inputs [CHUNK, SPAN, WIDE], then their weights [CHUNK, DEEP, tile], in quads.
         let all = params.inputs + columns;
         let inputs = CHUNK * SPAN * WIDE;
-        for (var begin = 0u; begin < all; begin += CHUNK) {
+        for (var begin = 0u; begin < all;) {
+            // A chunk consists of inputs or of columns.
+            let of_columns = begin >= params.inputs;
+            let count = min(CHUNK, select(params.inputs, all, of_columns) - begin);
             workgroupBarrier();
-            for (var k = index; k < inputs; k += WIDE * DEEP) {
-                let i = begin + k / (SPAN * WIDE);
-                let q = min(first_quad + k % (SPAN * WIDE), params.row_quads - 1u);
-                var v = vec4f();
-                if i < params.inputs {
-                    v = input(sample, i, row, q);
-                } else if i < all {
-                    v = tables[(i - params.inputs) * params.row_quads + q];
+            // Four at a time, whose loads are all under way before the first is awaited. Beyond the last one
+            // it is loaded again.
+            for (var first = 0u; first < count * SPAN; first += 4u * DEEP) {
+                let k$4 = first + $4 * DEEP + depth;
+                let i$4 = begin + min(k$4 / SPAN, count - 1u);
+                let q$4 = min(first_quad + k$4 % SPAN * WIDE + index % WIDE, params.row_quads - 1u);
+                var v$4 = vec4f();
+                if LIFTING {
+                    let quads = params.embedded / 4u + 1u;
+                    for (var part = 0u; part < quads; part++) {
+                        let h$4 = r[i$4 * quads + part];
+                        for (var e = 0u; e < 4u; e++) {
+                            if 4u * part + e < params.embedded {
+                                v$4 += h$4[e] * channel(sample, 4u * part + e, row, q$4);
+                            } else if 4u * part + e == params.embedded {
+                                v$4 += h$4[e];
+                            }
+                        }
+                    }
+                    v$4 = gelu(v$4);
+                } else if of_columns {
+                    v$4 = tables[(i$4 - params.inputs) * params.row_quads + q$4];
+                } else {
+                    v$4 = input(sample, i$4, row, q$4);
                 }
-                memory[k] = v;
+                if k$4 < count * SPAN { memory[k$4 * WIDE + index % WIDE] = v$4; }
             }
-            for (var k = index; k < CHUNK * DEEP * $m; k += WIDE * DEEP) {
-                let i = begin + k / (DEEP * $m);
-                let q = k % (DEEP * $m);
-                var w = vec4f();
-                if i < params.inputs {
-                    w = vec4f(skip[((first_tile + q / $m) * params.inputs + i) * $m + q % $m]);
-                } else if i < all {
-                    w = r[(line * columns + i - params.inputs) * params.channels / 4u + first_tile * $m + q];
+            for (var first = 0u; first < count * DEEP * $m; first += 4u * WIDE * DEEP) {
+                let k$4 = first + $4 * WIDE * DEEP + index;
+                let i$4 = begin + min(k$4 / (DEEP * $m), count - 1u);
+                let q$4 = k$4 % (DEEP * $m);
+                var w$4 = vec4f();
+                if of_columns {
+                    w$4 = r[(line * columns + i$4 - params.inputs) * params.channels / 4u + first_tile * $m + q$4];
+                } else {
+                    w$4 = vec4f(skip[((first_tile + q$4 / $m) * params.inputs + i$4) * $m + q$4 % $m]);
                 }
-                memory[inputs + k] = w;
+                if k$4 < count * DEEP * $m { memory[inputs + k$4] = w$4; }
             }
             workgroupBarrier();
-            for (var i = 0u; i < CHUNK; i++) {
+            for (var i = 0u; i < count; i++) {
                 let v$x = memory[(i * SPAN + $x) * WIDE + index % WIDE];
                 let w$q = memory[inputs + (i * DEEP + depth) * $m + $q];
                 y$c += w$q.$e * v$x;
             }
+            begin += count;
         }
         workgroupBarrier();
     } else {

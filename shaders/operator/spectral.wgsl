@@ -82,6 +82,7 @@ fn spectral(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) 
             let bottom = min(top + row_part, params.rows);
             // Sums of re cos, im sin, im cos and re sin.
             var part$c = vec4f();
+#if broadcast
             for (var y = top; y < bottom; y++) {
                 let at = ((sample * params.rows + y) * params.modes_w + column) * 2u * channels + channel;
                 let re = r[at];
@@ -89,6 +90,19 @@ fn spectral(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) 
                 let t$c = $same(wave(y * $n + $c));
                 part$c += vec4f(re, im, im, re) * t$c.xyxy;
             }
+#else
+            // Four rows at a time, whose loads are all under way before the first is awaited. Those beyond the
+            // last one count as zero.
+            for (var y = top; y < bottom; y += 4u) {
+                let y$4 = min(y + $4, bottom - 1u);
+                let at$4 = ((sample * params.rows + y$4) * params.modes_w + column) * 2u * channels + channel;
+                let re$4 = r[at$4];
+                let im$4 = r[at$4 + channels];
+                let t$4_$c = wave(y$4 * $n + $c);
+                let v$4 = select(vec4f(), vec4f(re$4, im$4, im$4, re$4), y + $4 < bottom);
+                part$c += v$4 * t$4_$c.xyxy;
+            }
+#endif
             z$c += vec4f(part$c.xz, part$c.xz) + vec4f(-part$c.y, part$c.w, part$c.y, -part$c.w);
         }
         if begin + index < transforms {
@@ -137,9 +151,15 @@ fn spectral(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) 
 #else
                 let w$8 = vec4f(weight[(pair + $8) * channels + channel]);
 #endif
+#if broadcast
                 let u$k_$8 = $same(inputs[($k * ROW_PARTS * MODES + mode) * channels + i + 2u * $8]);
                 let v$k_$8 = $same(inputs[($k * ROW_PARTS * MODES + mode) * channels + i + 2u * $8 + 1u]);
-                part$k += vec2f(u$k_$8.x * w$8.x - u$k_$8.y * w$8.y, u$k_$8.x * w$8.y + u$k_$8.y * w$8.x) + vec2f(v$k_$8.x * w$8.z - v$k_$8.y * w$8.w, v$k_$8.x * w$8.w + v$k_$8.y * w$8.z);
+                part$k += weighted(u$k_$8, v$k_$8, w$8);
+#else
+                // Read where they are used: all of them at once would not fit in registers.
+                let at$k = ($k * ROW_PARTS * MODES + mode) * channels + i;
+                part$k += weighted(inputs[at$k + 2u * $8], inputs[at$k + 2u * $8 + 1u], w$8);
+#endif
             }
             p$k += part$k;
         }
@@ -174,6 +194,11 @@ fn spectral(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) 
             }
         }
     }
+}
+
+// Returns the sum of two inputs, with their weights.
+fn weighted(u: vec2f, v: vec2f, w: vec4f) -> vec2f {
+    return vec2f(u.x * w.x - u.y * w.y, u.x * w.y + u.y * w.x) + vec2f(v.x * w.z - v.y * w.w, v.x * w.w + v.y * w.z);
 }
 
 // Returns this element of the table.

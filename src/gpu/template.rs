@@ -10,6 +10,7 @@
 //! | `$x` | a position | once per position |
 //! | `$k` | an output of the second tile | once per output |
 //! | `$8` | 0 to 7 | eight times, also for each `$k` |
+//! | `$4` | 0 to 3 | four times, with all copies of other markers |
 //! | `$n`, `$m` | number of channels of the tile, of its quads | |
 //! | `$t` | number of outputs of the second tile | |
 //! | `$same(array[index])` | an operand shared by a subgroup: apart from the line's marker it depends on nothing that varies within the subgroup, all of whose invocations reach the line ([`Sharing`]) | |
@@ -130,6 +131,10 @@ impl Source {
     /// Returns all copies of a line, joined into one line.
     fn unrolled_line(&self, line: &str, unroll: Unroll) -> String {
         let Unroll { tile, span, second, sharing, uniforms, .. } = unroll;
+        if line.contains("$4") {
+            let of_four = |k: usize| self.unrolled_line(&line.replace("$4", &k.to_string()), unroll);
+            return (0..4).map(of_four).collect::<Vec<_>>().join(" ");
+        }
         if line.contains("$k") && line.contains("$8") {
             let of_output = |k: usize| self.unrolled_line(&line.replace("$k", &k.to_string()), unroll);
             return (0..second).map(of_output).collect::<Vec<_>>().join(" ");
@@ -237,12 +242,14 @@ mod tests {
     }
 
     #[test]
-    fn other_markers_count_quads_places_second_outputs_and_eights() {
+    fn other_markers_count_quads_places_second_outputs_eights_and_fours() {
         let unroll = Unroll { span: 3, second: 2, ..8.into() };
         assert_eq!(unrolled("a$q;", unroll), "a0; a1;\n");
         assert_eq!(unrolled("b$x;", unroll), "b0; b1; b2;\n");
         assert_eq!(unrolled("c$k;", unroll), "c0; c1;\n");
         assert_eq!(unrolled("$8", unroll), "0 1 2 3 4 5 6 7\n");
+        assert_eq!(unrolled("$4", unroll), "0 1 2 3\n");
+        assert_eq!(unrolled("$4$k", unroll), "00 01 10 11 20 21 30 31\n");
         assert_eq!(unrolled("$n $m $t", unroll), "8u 2u 2u\n");
     }
 

@@ -106,9 +106,10 @@ pub struct Lifting {
 }
 
 impl LayerSize {
-    /// Returns the number of inputs that are summed: channels and columns of spectra, or hidden units.
+    /// Returns the number of inputs that are summed apart from the columns of spectra: channels, or hidden
+    /// units.
     fn summed(&self) -> usize {
-        self.lifting.map_or(self.channels + 2 * self.modes_w, |lifting| lifting.hidden)
+        self.lifting.map_or(self.channels, |lifting| lifting.hidden)
     }
 
     /// Returns the number of quads of the tables: of the inverse rows, which a lifting does not have, and of the
@@ -183,6 +184,9 @@ impl Group {
                 let input = span * wide + deep * quads;
                 let at_once =
                     (kept.max(STAGE_BYTES / 16).saturating_sub(embedded_quads + sums) / input).max(1);
+                // Whole rounds of loads, of four inputs per row of lanes and place, if there is room for one.
+                let round = (4 * deep / span).max(1);
+                let at_once = if at_once > round { at_once - at_once % round } else { at_once };
                 chunk = layer.summed().div_ceil(layer.summed().div_ceil(at_once));
                 staged = chunk * input;
             }
