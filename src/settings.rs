@@ -66,6 +66,9 @@ impl SheetConstants {
     pub const FITTED: Self = Self { spatial_inertia: 3.0, tangential_inertia: 2.0, normal_bend: 0.5 };
 }
 
+/// Numbers for each particle of a sheet: its three axes, and a factor along those of the world.
+pub const AXES: usize = 10;
+
 /// What a handle takes away from the step of a particle near it: this share over one plus their distance.
 pub const HANDLE_SHARE: f64 = 0.5;
 

@@ -8,8 +8,7 @@ use crate::settings::{HANDLE_REACH, HANDLE_SHARE};
 /// Vectors shorter than this have no direction.
 const SHORTEST: f64 = 1e-12;
 
-/// Numbers that [`sheet_axes`] sets for each particle.
-pub const AXES: usize = 10;
+pub use crate::settings::AXES;
 
 /// Sets `axes` [10, H, W] to three orthogonal vectors t_1, t_2 and n per particle at the positions `x + shift`, both
 /// [3, H, W], and a factor along the axes of the world.

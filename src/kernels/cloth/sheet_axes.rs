@@ -23,8 +23,7 @@ struct Params {
     zero: u32,
 }
 
-/// Numbers for each particle: three axes, and a factor along those of the world.
-pub const AXES: usize = 10;
+pub use crate::settings::AXES;
 
 /// Computes the sheet's own axes at each particle, and makes the last frame's acceleration a direction.
 #[derive(Clone, Debug)]
