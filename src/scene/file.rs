@@ -296,7 +296,10 @@ fn read_up(node: &Node) -> Result<UpAxis> {
 }
 
 fn read_grid(node: &Node) -> Result<Grid> {
-    let [h, w] = node.array("two sizes [H, W]", Node::count)?;
+    let [h, w] = match node.value.is_number() {
+        true => [node.count()?; 2],
+        false => node.array("two sizes [H, W], or one for both", Node::count)?,
+    };
     // The scene's own grid needs no further name.
     let origin = match node.path.strip_suffix(".grid") {
         Some(parent) => format!("{}: {parent}", node.origin),

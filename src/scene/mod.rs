@@ -28,7 +28,7 @@
 //!
 //! | field | value | unit | default |
 //! |---|---|---|---|
-//! | `grid` | `[H, W]`, particles along the height and the width, 8 to 4096 each | | `[32, 32]` |
+//! | `grid` | `[H, W]`, particles along the height and the width, 8 to 4096 each, or one number for both | | `[32, 32]` |
 //! | `side_m` | side along the height, from which the width follows as cells are square; or `[height, width]`, which must make cells square to within 0.1 % | m | `1` |
 //! | `mask` | the part of the sheet that the cloth has, see below | | all of it |
 //! | `mesh` | the path of an `.obj`, `.glb` or `.gltf`, or `{"file"}`: a mesh with texture coordinates that the cloth carries along, see below | | the grid's own |

@@ -108,7 +108,9 @@ fn the_stored_drape_is_the_default_start() {
 /// The drape depends on the cloth, not on the grid, and it is computed once.
 #[test]
 fn the_drape_is_the_same_on_every_grid() {
-    let coarse = parse(r#"{"grid": [32, 32]}"#).unwrap().setup().unwrap();
+    // One number is both sizes.
+    let coarse = parse(r#"{"grid": 32}"#).unwrap().setup().unwrap();
+    assert_eq!((coarse.model.grid.h, coarse.model.grid.w), (32, 32));
     let fine = parse(r#"{"grid": [63, 63]}"#).unwrap().setup().unwrap();
     let (of_coarse, of_fine) = (coarse.vertices_m(&coarse.start.x), fine.vertices_m(&fine.start.x));
     let apart = |(i, j): (usize, usize)| distance(of_coarse[i * 32 + j], of_fine[2 * i * 63 + 2 * j]);
