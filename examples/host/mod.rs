@@ -20,7 +20,7 @@ pub struct Host {
 
 const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
 const SIZE: u32 = 256;
-/// From below the x axis along it, z to the right and y up: a view 2.5 m across, with a light behind the eye.
+/// Along the x axis from its negative end, z to the right and y up: a view 2.5 m across, with a light behind the eye.
 const LOOK: Look = Look {
     clip: [[0.0, 0.0, 0.1, 0.0], [0.0, 0.8, 0.0, 0.0], [0.8, 0.0, 0.0, 0.0], [0.0, 0.0, 0.5, 1.0]],
     light: [-0.96, 0.28, 0.0],
