@@ -70,8 +70,8 @@
 //!    [`kernels::cloth::Integrate`] then updates the state: v += a, x += v. With bodies,
 //!    [`kernels::cloth::ContactReport`] says what they did, and [`kernels::cloth::ContactEnd`] stops particles that stick.
 //!
-//! A frame in a subspace ([`kernels::optim::Subspace`]) starts at a multiple of the last frame's accelerations, and
-//! ends with a check that takes back a step that raised the energy.
+//! A frame in a subspace ([`kernels::optim::Subspace`]) starts near the accelerations of the two frames before
+//! ([`kernels::optim::Extrapolate`]), and ends with a check that takes back a step that raised the energy.
 //!
 //! A training step ([`train::DeviceLoss`], [`cpu::train::Loss`]) is one such iteration, the energy at the new
 //! a, and the backward pass through [`kernels::optim::UpdateAdj`] and [`network::Backward`].

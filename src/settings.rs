@@ -75,14 +75,26 @@ pub const HANDLE_SHARE: f64 = 0.5;
 /// Rows and columns of particles within which a handle counts as near.
 pub const HANDLE_REACH: usize = 2;
 
-/// Largest multiple of the last frame's acceleration that a frame in a subspace starts at. With 1, what ten
-/// iterations leave undone in soft modes adds up: a sheet that hangs from one corner is then driven to 3 m/s within
-/// 600 frames.
+/// Share of the last frame's accelerations that a frame in a subspace starts at where they are rough.
+///
+/// What too few iterations leave undone of a mode is taken from the start, which is of frames before: the force comes late, and
+/// what comes late drives instead of damping. Let the iterations leave a share r of a mode's error. From w times the accelerations
+/// `a` of the last frame the force lags by `r w / (1 - r w)` frames, and backward Euler's damping makes up for one: w = 1/2 pumps no mode, w = 1
+/// each that is left half undone (a sheet that hung from one corner was driven to 3 m/s within 600 frames). From `2 a` less
+/// the accelerations before, as if they went on changing, there is no lag. Soft modes are then damped whatever is left undone of them; only where a frame
+/// is long for a mode (stiffness over mass above 0.02) and a third is left, it rings. Those modes are short waves, so
+/// the start is extrapolated where accelerations are smooth ([`SMOOTHING`]), and this share of them elsewhere.
 pub const WARMEST: f64 = 0.5;
 
+/// Weights of the mean that smooth accelerations are, along either axis, from the middle outwards: the binomial coefficients of four passes of
+/// (1, 2, 1) / 4. Half of a wave of eight edges is left. Two passes leave bending in motion with ten iterations, eight leave
+/// 1.4 times the gap.
+pub const SMOOTHING: [f64; 5] = [70.0 / 256.0, 56.0 / 256.0, 28.0 / 256.0, 8.0 / 256.0, 1.0 / 256.0];
+
 /// Iterations of a frame in a subspace in which a network proposes a step. Its direction is worth most far from the
-/// minimum: with it, five iterations leave 1.9 % of the gap of `xy_v2` at 32x32 where three directions leave 3.1 %.
-/// Later it disturbs the conjugacy of the others: proposing in all ten iterations left 1.1 %, in the first five 0.4 %.
+/// minimum: with it, five iterations leave 0.6 % of the gap of `xy_v2` at 32x32 where three directions leave 0.7 %.
+/// Later it disturbs the conjugacy of the others: with an earlier start ten iterations left 0.4 % where it proposed in the first five, and
+/// 1.1 % where it did in all.
 pub const LEARNED_ITERATIONS: usize = 5;
 
 /// The norm by which training divides the cotangents of a step.

@@ -1,5 +1,5 @@
-// Start of a frame of a subspace method: the sheet's own axes at each particle, how stiff it is along them, and the last
-// frame's acceleration as a direction.
+// Start of a frame of a subspace method: the sheet's own axes at each particle, how stiff it is along them, and the
+// accelerations of the last frame as a direction, with what extrapolates them (`extrapolate`).
 //
 // With the central differences of the predicted positions y = x + base (one-sided at the borders), of unit
 // length, u along the first axis of the grid and v along the second, and
@@ -18,8 +18,10 @@
 // marks: [B, n]
 // x, base: [B, 3, n]
 // axes: [B, 10, n] = t1, t2, the normal, near
-// directions: [K, slot], of which slot 2 [B, 3, n] becomes a, 0 where no free particle is and where a is not finite
+// directions: [K, slot], of which slot 2 [B, 3, n] becomes a, 0 where no free particle is and where a is not finite, and
+//   slot 0 (2 - WARMEST) a - earlier, also 0 where no free particle is
 // a: [B, 3, n], becomes 0
+// earlier: [B, 3, n], becomes slot 2
 //
 // One invocation per particle. Workgroups: (n / 64 over x and y, B in z).
 // Adjoint: none, the optimizer is not trained.
@@ -39,9 +41,11 @@ struct Params {
 @group(0) @binding(5) var<storage, read_write> axes: array<f32>;
 @group(0) @binding(6) var<storage, read_write> directions: array<f32>;
 @group(0) @binding(7) var<storage, read_write> a: array<f32>;
+@group(0) @binding(8) var<storage, read_write> earlier: array<f32>;
 
 override HANDLE_SHARE: f32 = 0.5;
 override HANDLE_REACH: u32 = 2;
+override WARMEST: f32 = 0.5;
 
 // Shortest vector that has a direction.
 const SHORTEST: f32 = 1e-12;
@@ -150,8 +154,10 @@ fn sheet_axes(
         axes[out + (3u + c) * n] = axis2[c];
         axes[out + (6u + c) * n] = axis3[c];
         let at = first + c * n + p;
-        let last = a[at];
-        directions[2u * params.slot + at] = select(0.0, last, free && is_finite(last));
+        let last = select(0.0, a[at], free && is_finite(a[at]));
+        directions[2u * params.slot + at] = last;
+        directions[at] = select(0.0, (2.0 - WARMEST) * last - earlier[at], free);
         a[at] = 0.0;
+        earlier[at] = last;
     }
 }

@@ -1,8 +1,8 @@
 // The step of a subspace method: keeps or takes back the last step, then minimises the quadratic model of the
 // energy over the span of four directions (`curvature`).
 //
-// At the start of a frame (stage 0) only the last frame's acceleration p_2 is a direction, and its coefficient is
-// limited to 0..WARMEST. Later an iterate is accepted if E <= E_before + 1e-6 max(size, size_before), where size is the
+// At the start of a frame (stage 0) only the last frame's acceleration p_2 and what extrapolates it, p_1, are directions, and
+// the step is the point h WARMEST p_2 + f p_1 of the triangle 0 <= f <= h <= 1 where the model is least. Later an iterate is accepted if E <= E_before + 1e-6 max(size, size_before), where size is the
 // sum of the magnitudes of the energy's terms. Then, with f_i = 1 / |p_i|, A'_ij = f_i f_j
 // A_ij, b'_i = f_i b_i and A' = V diag(l) V^T,
 //   c = -f V diag(1 / max(|l|, 1e-7 max |l|)) V^T b',  step = sum_i c_i p_i,  a += step,  p_2 = step
@@ -180,11 +180,36 @@ fn minimum() -> Solution {
     return Solution(select(vec4f(), c, vec4<bool>(all(are_finite(c)))), dropped);
 }
 
-// Returns the coefficient of the last frame's acceleration that minimises the model alone, limited to 0..WARMEST.
-fn warm() -> f32 {
-    let curvature = abs(sums[1].w);
-    let best = -sums[3].x / curvature;
-    return select(0.0, clamp(best, 0.0, WARMEST), curvature > 0.0 && is_finite(best) && is_finite(sums[4].x));
+// Returns the factor, 0 to 1, for which a parabola of this slope at 0 is least, or 0 if there is none.
+fn least(slope: f32, curvature: f32) -> f32 {
+    let best = -slope / abs(curvature);
+    return select(0.0, clamp(best, 0.0, 1.0), abs(curvature) > 0.0 && is_finite(best));
+}
+
+// Returns the point (h, f) at which a start is best: inside of the triangle, or the lowest of the least points of its sides.
+fn start() -> vec2f {
+    let b = vec2f(WARMEST * sums[3].x, sums[2].w);
+    let hh = WARMEST * WARMEST * sums[1].w;
+    let hf = WARMEST * sums[1].y;
+    let ff = sums[1].x;
+    let determinant = hh * ff - hf * hf;
+    let inside = vec2f(hf * b.y - ff * b.x, hf * b.x - hh * b.y) / determinant;
+    if hh > 0.0 && determinant > 0.0 && inside.y >= 0.0 && inside.y <= inside.x && inside.x <= 1.0 {
+        return inside;
+    }
+    let both = least(b.x + b.y, hh + 2.0 * hf + ff);
+    let sides = array<vec2f, 3>(vec2f(least(b.x, hh), 0.0), vec2f(1.0, least(b.y + hf, ff)), vec2f(both));
+    var best = vec2f();
+    var lowest = 0.0;
+    for (var k = 0u; k < 3u; k++) {
+        let s = sides[k];
+        let value = dot(b, s) + 0.5 * (hh * s.x * s.x + 2.0 * hf * s.x * s.y + ff * s.y * s.y);
+        if is_finite(value) && value < lowest {
+            best = s;
+            lowest = value;
+        }
+    }
+    return best;
 }
 
 // Returns the fraction of a step of this slope to which a rise of the energy shortens it.
@@ -211,7 +236,8 @@ fn decide(b: u32, is_writer: bool) {
     fraction = 0.0;
     what = 1u;
     if params.stage == 0u {
-        coefficients.z = warm();
+        let best = start();
+        coefficients = vec4f(0.0, best.y, WARMEST * best.x, 0.0);
     } else {
         let row = 5u * (params.before * params.batch + b);
         let old = vec3f(state[row], state[row + 1u], state[row + 2u]);

@@ -169,7 +169,10 @@ impl<T: Real> Solver<T> {
         let mut memory = Memory::default();
         let single = |values: &[T]| values.iter().map(|v| v.f64() as f32).collect::<Vec<_>>();
         if let Method::Subspace(_, subspace) = &mut self.method {
-            memory.accelerations = subspace.last_accelerations().flat_map(|last| single(last)).collect();
+            for which in 0..2 {
+                let all = subspace.last_accelerations().flat_map(|both| single(both[which]));
+                memory.accelerations.extend(all);
+            }
         }
         if let Some(Hidden { last_grad, last_step, scale }) = self.hidden_mut() {
             memory.hidden = [single(last_grad), single(last_step)].concat();
@@ -186,11 +189,13 @@ impl<T: Real> Solver<T> {
             to.iter_mut().zip(from).for_each(|(to, &from)| *to = T::of(from.into()));
         };
         if let Method::Subspace(_, subspace) = &mut self.method {
-            let mut from = &memory.accelerations[..];
-            for last in subspace.last_accelerations() {
-                let (own, rest) = from.split_at(last.len());
-                copy(last, own);
-                from = rest;
+            let (last, earlier) = memory.accelerations.split_at(memory.accelerations.len() / 2);
+            let mut at = 0;
+            for [to_last, to_earlier] in subspace.last_accelerations() {
+                let own = at..at + to_last.len();
+                copy(to_last, &last[own.clone()]);
+                copy(to_earlier, &earlier[own.clone()]);
+                at = own.end;
             }
         }
         if let Some(Hidden { last_grad, last_step, scale }) = self.hidden_mut() {

@@ -52,6 +52,7 @@ const ALL: &[(&Source, usize)] = &[
     (&optim::cosine_rows::SOURCE, 0),
     (&optim::cosine_columns::SOURCE, 0),
     (&optim::cosine_directions::SOURCE, 0),
+    (&optim::extrapolate::SOURCE, 0),
     (&optim::subspace_step::SOURCE, 0),
     (&optim::step_scale::SOURCE, 0),
     (&operator::pointwise::SOURCE, 16),

@@ -6,7 +6,8 @@ use crate::{Error, Result};
 /// on to the same bits from both, on the same device. The parts that an optimizer does not have are empty.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Memory {
-    /// The accelerations of the last frame [edges / frame^2], shape [B, 3, H, W], where a frame starts near them.
+    /// The accelerations of the last frame and of the frame before it [edges / frame^2], shape [2, B, 3, H, W], where a frame
+    /// starts near them.
     pub accelerations: Vec<f32>,
     /// The last gradient and the last step of a network, shape [2, B, 3, H, W].
     pub hidden: Vec<f32>,

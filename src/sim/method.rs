@@ -135,6 +135,14 @@ impl Method {
         }
     }
 
+    /// Returns the accelerations of the frame before the last one, shape [B, 3, n], where a frame starts near those of both.
+    pub fn earlier(&self) -> Option<&Tensor> {
+        match self {
+            Self::Subspace { plan, .. } => Some(plan.earlier()),
+            _ => None,
+        }
+    }
+
     /// Appends what comes before the first evaluation of a frame: the accelerations of the frame before become a
     /// direction, and 0.
     pub fn push_begin(&self, schedule: &mut Schedule, objective: &Objective) {

@@ -40,8 +40,8 @@ pub enum Direction {
     /// start of the frame: a sheet is a thousand times stiffer along its surface than across it. It is shorter where the sheet
     /// is under tension ([`crate::cpu::cloth::sheet_axes`]).
     CoRotated,
-    /// The step that was taken last, or in the first iteration the accelerations of the frame before. With
-    /// preconditioned gradients it makes the iteration a conjugate-gradient method.
+    /// The step that was taken last, or in the first iteration the accelerations that the frame starts at, near those of the
+    /// two frames before. With preconditioned gradients it makes the iteration a conjugate-gradient method.
     Last,
     /// The step of the learned update rule (paper sections 3.3 and 4).
     Network(Arc<Weights>),

@@ -297,8 +297,10 @@ impl Solver {
     /// Resets what the optimizer remembers from frame to frame: the hidden state of a network, and the accelerations
     /// of the last frame.
     pub fn reset_memory(&self) {
-        if self.method.checks_energy() {
-            self.objective.iterate.a.write(&self.context, &vec![0f32; self.objective.iterate.a.len()]);
+        if let Some(earlier) = self.method.earlier() {
+            let zeros = vec![0f32; earlier.len()];
+            self.objective.iterate.a.write(&self.context, &zeros);
+            earlier.write(&self.context, &zeros);
         }
         if let (Some(scales), Some(hidden)) = (self.method.scales(), &self.objective.iterate.hidden) {
             hidden.write(&self.context, &vec![0f32; hidden.len()]);
@@ -309,8 +311,9 @@ impl Solver {
     /// Returns what the optimizer remembers from frame to frame. Waits for the device. Fails if it is lost.
     pub fn memory(&self) -> Result<Memory> {
         let mut memory = Memory::default();
-        if self.method.checks_energy() {
+        if let Some(earlier) = self.method.earlier() {
             memory.accelerations = self.objective.iterate.a.read(&self.context)?;
+            memory.accelerations.append(&mut earlier.read(&self.context)?);
         }
         if let (Some(scales), Some(hidden)) = (self.method.scales(), &self.objective.iterate.hidden) {
             memory.hidden = hidden.read(&self.context)?;
@@ -326,16 +329,18 @@ impl Solver {
     pub fn set_memory(&self, memory: &Memory) -> Result<()> {
         let mut expected = Memory::default();
         let (a, scales) = (&self.objective.iterate.a, self.method.scales());
-        if self.method.checks_energy() {
-            expected.accelerations = vec![0.0; a.len()];
+        if self.method.earlier().is_some() {
+            expected.accelerations = vec![0.0; 2 * a.len()];
         }
         if let (Some(_), Some(hidden)) = (scales, &self.objective.iterate.hidden) {
             expected.hidden = vec![0.0; hidden.len()];
             expected.scales = vec![0.0; 3 * self.model.batch()];
         }
         memory.check(&expected)?;
-        if self.method.checks_energy() {
-            a.write(&self.context, &memory.accelerations);
+        if let Some(earlier) = self.method.earlier() {
+            let (last, before) = memory.accelerations.split_at(a.len());
+            a.write(&self.context, last);
+            earlier.write(&self.context, before);
         }
         if let (Some(scales), Some(hidden)) = (scales, &self.objective.iterate.hidden) {
             hidden.write(&self.context, &memory.hidden);
@@ -350,8 +355,10 @@ impl Solver {
     pub fn reset_memory_of(&self, b: usize) {
         let (batch, n) = (self.model.batch(), self.model.grid.particles());
         assert!(b < batch, "cloth {b} of {batch}");
-        if self.method.checks_energy() {
-            self.objective.iterate.a.write_at(&self.context, 3 * b * n, &vec![0f32; 3 * n]);
+        if let Some(earlier) = self.method.earlier() {
+            let zeros = vec![0f32; 3 * n];
+            self.objective.iterate.a.write_at(&self.context, 3 * b * n, &zeros);
+            earlier.write_at(&self.context, 3 * b * n, &zeros);
         }
         if let (Some(scales), Some(hidden)) = (self.method.scales(), &self.objective.iterate.hidden) {
             for half in [0, 3 * batch * n] {

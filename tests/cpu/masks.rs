@@ -131,19 +131,19 @@ fn masked_cloths_are_minimised_about_as_well() {
     };
     for optimizer in of_names(&["spectral", "fnopt"]) {
         let full = gap("", &optimizer);
-        // The directions know nothing of holes, where the sheet ends: there the gap is up to 1.94 times that of the full sheet,
-        // which is 0.27 %.
+        // The directions know nothing of holes, where the sheet ends: there the gap is up to 2.4 times that of the full sheet,
+        // which is 0.14 %.
         for (mask, most) in [
             (r#""disc""#, 1.5),
             (r#"{"polygon": [[0, 0.2], [1, 0.2], [1, 1], [0, 1]]}"#, 1.5),
-            (r#"{"holes": [{"circle": [0.5, 0.5], "radius_m": 0.15}]}"#, 2.2),
-            (r#"{"holes": [{"circle": [0.5, 0.5], "radius_m": 0.3}]}"#, 2.2),
-            (r#"{"holes": [{"circle": [0.3, 0.6], "radius_m": 0.15}]}"#, 2.2),
+            (r#"{"holes": [{"circle": [0.5, 0.5], "radius_m": 0.15}]}"#, 2.6),
+            (r#"{"holes": [{"circle": [0.5, 0.5], "radius_m": 0.3}]}"#, 2.6),
+            (r#"{"holes": [{"circle": [0.3, 0.6], "radius_m": 0.15}]}"#, 2.6),
         ] {
             let masked = gap(&format!(r#", "mask": {mask}"#), &optimizer);
             println!("{} {mask}: {:.2} %, full {:.2} %", optimizer.name(), 100.0 * masked, 100.0 * full);
             let name = optimizer.name();
-            assert!(masked < most * full && masked < 0.006, "{name} {mask}: {masked} for {full}");
+            assert!(masked < most * full && masked < 0.004, "{name} {mask}: {masked} for {full}");
         }
     }
 }

@@ -1,6 +1,7 @@
 //! The optimizers on the CPU, which turn the gradient of a frame's energy into a step of the accelerations.
 
 mod adam;
+mod extrapolate;
 mod gd;
 mod lbfgs;
 mod rest_hessian;
@@ -10,6 +11,7 @@ mod update;
 mod update_adj;
 
 pub use adam::Adam;
+pub use extrapolate::{Extrapolation, best_start};
 pub use gd::GradientDescent;
 pub(super) use lbfgs::History;
 pub use lbfgs::Lbfgs;

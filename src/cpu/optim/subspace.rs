@@ -1,12 +1,12 @@
 //! The best step among a few directions: the minimum of the energy's local quadratic model over them.
 
 use super::rest_hessian::{Cosines, hold};
-use super::{SheetHessian, Update};
+use super::{Extrapolation, SheetHessian, Update, best_start};
 use crate::Result;
 use crate::cloth::{Cloth, Control, EnergyTerms, Model, State};
 use crate::cpu::cloth::{AXES, CurvatureRows, LocalModel, sheet_axes};
 use crate::cpu::{Objective, Real};
-use crate::settings::{LEARNED_ITERATIONS, SheetConstants, WARMEST};
+use crate::settings::{LEARNED_ITERATIONS, SheetConstants};
 use crate::sim::{Direction, MAX_DIRECTIONS, Optimizer, StepCounts};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -22,7 +22,7 @@ const ROUNDINGS: f64 = 8.0;
 
 /// Minimises a frame of a batch of cloths by steps in a subspace.
 ///
-/// A frame starts at the best multiple of the accelerations of the frame before, at most [`WARMEST`]. Each iteration
+/// A frame starts at the best point near the accelerations of the two frames before ([`best_start`]). Each iteration
 /// first checks the step before: where it raised the energy, it is shortened and the iteration ends there. So the
 /// energy never rises from one accepted iterate to the next.
 pub struct Subspace<T: Real> {
@@ -37,11 +37,14 @@ pub struct Subspace<T: Real> {
 
 /// The state of one cloth.
 struct OfCloth<T> {
-    /// Shape [K, 3, H, W].
+    /// Shape [K, 3, H, W], with room for the two directions of the start.
     directions: Vec<T>,
     /// The step that was taken last, or at the start of a frame the accelerations of the frame before, 0 at
     /// handles; shape [3, H, W].
     last: Vec<T>,
+    /// The accelerations of the last frame, at its end those of the frame before it, 0 at handles; shape [3, H, W].
+    earlier: Vec<T>,
+    extrapolation: Extrapolation<T>,
     axes: Vec<T>,
     /// If the spectral or the co-rotated direction is among them.
     hessian: Option<SheetHessian<T>>,
@@ -84,19 +87,24 @@ impl<T: Real> Subspace<T> {
             self.directions.iter().any(|d| matches!(d, Direction::Spectral | Direction::CoRotated));
         let n = model.grid.particles();
         let zeros = |fields: usize| vec![T::zero(); fields * n];
-        let new = |cloth: &Cloth| OfCloth {
-            directions: zeros(3 * self.directions.len()),
-            last: zeros(3),
-            axes: zeros(AXES),
-            hessian: needs_hessian.then(|| SheetHessian::new(&cosines, cloth, &SheetConstants::FITTED)),
-            rows: CurvatureRows::new(model.grid),
-            accepted: Accepted { energy: f64::INFINITY, magnitude: 0.0, slope: 0.0 },
-            steps: StepCounts::default(),
-            held: cloth.held(),
+        let new = |cloth: &Cloth| {
+            let held = cloth.held();
+            OfCloth {
+                directions: zeros(3 * self.directions.len().max(2)),
+                last: zeros(3),
+                earlier: zeros(3),
+                extrapolation: Extrapolation::new(model.grid, &held),
+                axes: zeros(AXES),
+                hessian: needs_hessian.then(|| SheetHessian::new(&cosines, cloth, &SheetConstants::FITTED)),
+                rows: CurvatureRows::new(model.grid),
+                accepted: Accepted { energy: f64::INFINITY, magnitude: 0.0, slope: 0.0 },
+                steps: StepCounts::default(),
+                held,
+            }
         };
         self.cloths = model.cloths.iter().map(new).collect();
         for (new, old) in self.cloths.iter_mut().zip(old) {
-            new.last = old.last;
+            (new.last, new.earlier) = (old.last, old.earlier);
         }
     }
 
@@ -108,6 +116,7 @@ impl<T: Real> Subspace<T> {
             cloth.steps = StepCounts::default();
             // Taken at the end of the last frame; handles accelerate as they are told.
             hold(&cloth.held, &mut cloth.last);
+            hold(&cloth.held, &mut cloth.earlier);
             a.fill(T::zero());
         }
         objective.move_to_trial(state, control);
@@ -123,25 +132,25 @@ impl<T: Real> Subspace<T> {
         self.start_warm(objective, (state, control));
     }
 
-    /// Adds the best multiple of the accelerations of the frame before, at most [`WARMEST`].
+    /// Adds the best start near the accelerations of the two frames before.
     fn start_warm(&mut self, objective: &mut Objective<T>, (state, control): (&State<T>, &Control<T>)) {
         let starts_warm = self.directions.iter().any(|direction| matches!(direction, Direction::Last));
         objective.evaluate(state, control);
         self.norms_at_start.copy_from_slice(&objective.norms);
-        let len = objective.cloth_len();
         {
             let objective = &*objective;
             self.cloths.par_iter_mut().enumerate().for_each(|(b, cloth)| {
-                let along: &[T] = if starts_warm { &cloth.last } else { &[] };
+                let along = if starts_warm { cloth.set_directions_of_start() } else { 0 };
+                let along = &cloth.directions[..along];
                 let model = objective.local_model(state, b, (along, &mut cloth.rows));
                 cloth.accepted = Accepted::of(&model.energy);
-                let [factor, ..] = best_step(&model, usize::from(starts_warm)).factors;
-                let factor = factor.clamp(0.0, WARMEST);
-                cloth.accepted.slope = if starts_warm { factor * model.slopes[0] } else { 0.0 };
-                let factor = T::of(factor);
-                cloth.last.iter_mut().for_each(|step| *step = *step * factor);
+                cloth.last.fill(T::zero());
+                if starts_warm {
+                    cloth.take(&best_start(&model), &model.slopes);
+                }
             });
         }
+        let len = objective.cloth_len();
         for (cloth, a) in self.cloths.iter().zip(objective.trial.a.chunks_exact_mut(len)) {
             a.iter_mut().zip(&cloth.last).for_each(|(a, &step)| *a = *a + step);
         }
@@ -164,6 +173,7 @@ impl<T: Real> Subspace<T> {
     /// there.
     pub fn step(&mut self, objective: &mut Objective<T>, state: &State<T>, iteration: usize) {
         let Self { directions, network, cloths, moved, .. } = self;
+        let count = directions.len();
         let proposed = match network {
             Some(network) if iteration < LEARNED_ITERATIONS => {
                 network.hidden_mut().scale_to_step();
@@ -193,8 +203,9 @@ impl<T: Real> Subspace<T> {
                         _ => hold(&cloth.held, p),
                     }
                 }
-                let model = objective.local_model(state, b, (&cloth.directions, &mut cloth.rows));
-                cloth.advance(&model, a);
+                let along = &cloth.directions[..count * len];
+                let model = objective.local_model(state, b, (along, &mut cloth.rows));
+                cloth.advance(&model, count, a);
             });
         }
         std::mem::swap(&mut objective.trial.a, moved);
@@ -238,14 +249,15 @@ impl<T: Real> Subspace<T> {
     /// Clears the memory of earlier frames for this cloth.
     pub fn reset_memory_of(&mut self, cloth: usize) {
         self.cloths[cloth].last.fill(T::zero());
+        self.cloths[cloth].earlier.fill(T::zero());
         if let Some(network) = &mut self.network {
             super::Minimizer::reset_memory_of(network, cloth);
         }
     }
 
-    /// Returns the accelerations of the frame before, of each cloth.
-    pub fn last_accelerations(&mut self) -> impl Iterator<Item = &mut [T]> {
-        self.cloths.iter_mut().map(|cloth| &mut cloth.last[..])
+    /// Returns the accelerations of the last frame and of the frame before it, of each cloth.
+    pub fn last_accelerations(&mut self) -> impl Iterator<Item = [&mut [T]; 2]> {
+        self.cloths.iter_mut().map(|cloth| [&mut cloth.last[..], &mut cloth.earlier])
     }
 
     /// Returns the update rule of the network among the directions.
@@ -280,9 +292,33 @@ impl Accepted {
 }
 
 impl<T: Real> OfCloth<T> {
-    /// Adds the next step to the accelerations `a`: the best one in the model, or, if the step before raised the
+    /// Sets two directions to the accelerations of the last frame and to what extrapolates them, and returns the number of
+    /// elements of both. The last frame's are the earlier ones from then on.
+    fn set_directions_of_start(&mut self) -> usize {
+        let Self { directions, last, earlier, extrapolation, .. } = self;
+        let (near, rest) = directions[..2 * last.len()].split_at_mut(last.len());
+        near.copy_from_slice(last);
+        extrapolation.smooth([last, earlier], rest);
+        earlier.copy_from_slice(last);
+        2 * last.len()
+    }
+
+    /// Adds the directions times these factors to the last step, and their slopes to that along it.
+    fn take(&mut self, factors: &[f64], slopes: &[f64]) {
+        let directions = self.directions.chunks_exact(self.last.len());
+        for ((&factor, &slope), p) in factors.iter().zip(slopes).zip(directions) {
+            // A direction that is left out may hold NaN.
+            if factor != 0.0 {
+                self.accepted.slope += factor * slope;
+                let factor = T::of(factor);
+                self.last.iter_mut().zip(p).for_each(|(step, &p)| *step = *step + factor * p);
+            }
+        }
+    }
+
+    /// Adds the next step to the accelerations `a`: the best one in the model of `count` directions, or, if the step before raised the
     /// energy, the way back to a fraction of it.
-    fn advance(&mut self, model: &LocalModel, a: &mut [T]) {
+    fn advance(&mut self, model: &LocalModel, count: usize, a: &mut [T]) {
         let here = Accepted::of(&model.energy);
         if !self.accepted.allows::<T>(&here) {
             let fraction = self.accepted.fraction(&here);
@@ -296,19 +332,11 @@ impl<T: Real> OfCloth<T> {
             }
             return;
         }
-        let len = self.last.len();
-        let best = best_step(model, self.directions.len() / len);
+        let best = best_step(model, count);
         self.steps.dropped += best.dropped;
         self.accepted = here;
         self.last.fill(T::zero());
-        for (k, p) in self.directions.chunks_exact(len).enumerate() {
-            // A direction that is left out may hold NaN.
-            if best.factors[k] != 0.0 {
-                self.accepted.slope += best.factors[k] * model.slopes[k];
-                let factor = T::of(best.factors[k]);
-                self.last.iter_mut().zip(p).for_each(|(step, &p)| *step = *step + factor * p);
-            }
-        }
+        self.take(&best.factors[..count], &model.slopes);
         a.iter_mut().zip(&self.last).for_each(|(a, &step)| *a = *a + step);
     }
 }

@@ -3,7 +3,7 @@
 use super::cosine_columns::squared_frequencies;
 use super::cosine_rows::{fields_shape, table};
 use super::subspace_step::STATE;
-use super::{CosineColumns, CosineDirections, CosineRows, SubspaceStep, When, directions};
+use super::{CosineColumns, CosineDirections, CosineRows, Extrapolate, SubspaceStep, When, directions};
 use crate::Result;
 use crate::cloth::Grid;
 use crate::gpu::{Context, Schedule, Tensor};
@@ -23,6 +23,7 @@ pub struct Subspace {
     grid: Grid,
     iterations: usize,
     axes_kernel: SheetAxes,
+    extrapolate: Extrapolate,
     rows: CosineRows,
     /// Forward, inverse.
     columns: [CosineColumns; 2],
@@ -38,6 +39,8 @@ pub struct Subspace {
     fields: [Tensor; 2],
     /// Shape [K, slot].
     directions: Tensor,
+    /// Accelerations of the frame before the last one, 0 at handles; shape [B, 3, n].
+    earlier: Tensor,
     /// Shape [B, parts, 24].
     parts: Tensor,
     /// Shape [iterations + 2, B, 5].
@@ -60,6 +63,7 @@ impl Subspace {
             grid,
             iterations,
             axes_kernel: SheetAxes::new(context)?,
+            extrapolate: Extrapolate::new(context)?,
             rows: CosineRows::new(context)?,
             columns: [CosineColumns::new(context, false)?, CosineColumns::new(context, true)?],
             directions_kernel: CosineDirections::new(context)?,
@@ -69,22 +73,25 @@ impl Subspace {
             axes: zeros("subspace.axes", &[batch, AXES, grid.particles()])?,
             fields: [fields()?, fields()?],
             directions: zeros("subspace.directions", &directions::shape(count, batch, grid))?,
+            earlier: zeros("subspace.earlier", &[batch, 3, grid.particles()])?,
             parts: zeros("subspace.parts", &curvature::parts_shape(batch, grid))?,
             state: zeros("subspace.state", &[iterations + 2, batch, STATE])?,
         })
     }
 
     /// Starts a frame from `iterate.base`, with the last frame's acceleration still in `iterate.a`: it
-    /// becomes the last step, and 0, or with bodies what keeps the particles out of them. One dispatch, and another with
+    /// becomes the last step, and 0, or with bodies what keeps the particles out of them. Two dispatches, and another with
     /// bodies.
     pub fn begin(&self, schedule: &mut Schedule, objective: &Objective) {
         let of = (objective.cloths(), &objective.iterate, &objective.x);
-        self.axes_kernel.push(schedule, objective.grid(), of, [&self.axes, &self.directions]);
+        let to = [&self.axes, &self.directions, &self.earlier];
+        self.axes_kernel.push(schedule, objective.grid(), of, to);
+        self.extrapolate.push(schedule, objective.grid(), &objective.iterate, &self.directions);
         objective.confine(schedule, None);
     }
 
-    /// Moves the iterate from a = 0, where it was evaluated, to the best multiple, at most
-    /// [`WARMEST`](crate::settings::WARMEST), of the last frame's acceleration. Two dispatches.
+    /// Moves the iterate from a = 0, where it was evaluated, to the best start near the accelerations of the two frames
+    /// before ([`WARMEST`](crate::settings::WARMEST)). Two dispatches.
     pub fn start(&self, schedule: &mut Schedule, objective: &Objective) {
         // The other directions are those of the frame before, whose sums are not read.
         objective.local_model(schedule, &self.directions, &self.parts);
@@ -130,6 +137,11 @@ impl Subspace {
         };
         (count > directions::LEARNED)
             .then(|| directions::one(&self.directions, directions::LEARNED, batch, self.grid))
+    }
+
+    /// Returns the accelerations of the frame before the last one, shape [B, 3, n].
+    pub fn earlier(&self) -> &Tensor {
+        &self.earlier
     }
 
     /// Returns the state after each decision: at the start, in each iteration and at the end of the frame, shape

@@ -41,8 +41,8 @@ pub struct SubspaceStep {
 /// The place of a dispatch in a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum When {
-    /// At the start, where a = 0 and the last frame's acceleration is the only direction. It writes row 0 of the
-    /// state.
+    /// At the start, where a = 0 and the last frame's acceleration and what extrapolates it, in the co-rotated slot, are the
+    /// only directions. It writes row 0 of the state.
     Start,
     /// Iteration, counted from 0. It writes the next row of the state, from the row of this number.
     Iteration(usize),

@@ -17,6 +17,7 @@ mod draw;
 mod embed;
 mod energy;
 mod external_force;
+mod extrapolate;
 mod features;
 mod gelu_adj;
 mod gradient;

@@ -6,7 +6,7 @@ use fnopt::cloth::Model;
 use fnopt::kernels::cloth::SheetAxes;
 use fnopt::kernels::cloth::sheet_axes::AXES;
 use fnopt::kernels::optim::directions;
-use fnopt::settings::{HANDLE_REACH, HANDLE_SHARE};
+use fnopt::settings::{HANDLE_REACH, HANDLE_SHARE, WARMEST};
 
 type Vector = [f64; 3];
 
@@ -102,7 +102,7 @@ fn all_axes(model: &Model, x: &[f32], base: &[f32]) -> Vec<f64> {
 }
 
 #[test]
-fn axes_match_and_the_last_acceleration_becomes_a_direction() {
+fn axes_match_and_the_last_accelerations_become_directions() {
     let _turn = device();
     let kernel = SheetAxes::new(context()).unwrap();
     for (grid, batch) in cases() {
@@ -126,7 +126,10 @@ fn axes_match_and_the_last_acceleration_becomes_a_direction() {
             let found = poisoned("axes", &[batch, AXES, n]);
             let all = poisoned("directions", &directions::shape(3, batch, grid));
             let (start, cloths) = (upload("x", &model, &x), constants(&model));
-            run(|schedule| kernel.push(schedule, grid, (&cloths, &iterate, &start), [&found, &all]));
+            let before = field(&model, 0.1, 74);
+            let earlier = upload("earlier", &model, &before);
+            let to = [&found, &all, &earlier];
+            run(|schedule| kernel.push(schedule, grid, (&cloths, &iterate, &start), to));
             let what = format!("axes {amplitude} {degenerate} {batch} x {grid}");
             // A rounding of the edges, over the sine between them; the tangential ones are as long as `2 k` times a strain says,
             // which has the rounding of a length near 1.
@@ -147,9 +150,14 @@ fn axes_match_and_the_last_acceleration_becomes_a_direction() {
                 (0..a.len()).map(|k| if kept(k) { f64::from(a[k]) } else { 0.0 }).collect();
             let last = directions::one(&all, directions::LAST_STEP, batch, grid);
             assert_close(&what, &read(&last), &expected, (0.0, 0.0));
-            let others = [directions::SPECTRAL, directions::ROTATED];
-            let untouched = |at| read(&directions::one(&all, at, batch, grid)).iter().all(|v| v.is_nan());
-            assert!(others.into_iter().all(untouched), "{what}: other directions");
+            assert_close(&what, &read(&earlier), &expected, (0.0, 0.0));
+            let free = |k: usize| marks[k / (3 * n) * n + k % n].is_free();
+            let change = |k: usize| (2.0 - WARMEST) * expected[k] - f64::from(before[k]);
+            let change: Vec<f64> = (0..a.len()).map(|k| if free(k) { change(k) } else { 0.0 }).collect();
+            let found = read(&directions::one(&all, directions::SPECTRAL, batch, grid));
+            assert_close(&what, &found, &change, (1e-7, 1e-6));
+            let other = directions::one(&all, directions::ROTATED, batch, grid);
+            assert!(read(&other).iter().all(|v| v.is_nan()), "{what}: another direction");
         }
     }
 }

@@ -4,12 +4,13 @@ use super::cloth::{crumpled, field, model, repelling};
 use crate::common::{assert_close, cases, context, device, noise, poisoned, read, run, tensor};
 use crate::solver::assert_same;
 use fnopt::cloth::{Grid, Mark};
+use fnopt::cpu::cloth::LocalModel;
+use fnopt::cpu::optim::best_start;
 use fnopt::gpu::Order;
 use fnopt::kernels::cloth::curvature::parts_shape;
 use fnopt::kernels::cloth::gradient::parts;
 use fnopt::kernels::cloth::{Objective, Room, TERMS, energy};
 use fnopt::kernels::optim::{Iterate, Subspace, SubspaceStep, When, directions};
-use fnopt::settings::WARMEST;
 
 type Vector = [f64; 4];
 type Matrix = [Vector; 4];
@@ -195,8 +196,15 @@ fn steps_match() {
                 let accepted = first || energy <= old[0] + 1e-6 * size.max(old[1]);
                 let (mut c, dropped) = coefficients(given.a, given.b, given.squares);
                 if first {
-                    let best = -given.b[2] / given.a[2][2].abs();
-                    c = [0.0, 0.0, if best.is_finite() { best.clamp(0.0, WARMEST) } else { 0.0 }, 0.0];
+                    // The last frame's accelerations, then what extrapolates them.
+                    let order = [directions::LAST_STEP, directions::ROTATED];
+                    let mut model = LocalModel::default();
+                    for (i, &p) in order.iter().enumerate() {
+                        model.slopes[i] = given.b[p];
+                        order.iter().enumerate().for_each(|(j, &q)| model.curvature[i][j] = given.a[p][q]);
+                    }
+                    let [last, rest] = best_start(&model);
+                    c = [0.0, rest, last, 0.0];
                 }
                 // Where the parabola is least.
                 let least = -0.5 * old[2] / (energy - old[0] - old[2]);
