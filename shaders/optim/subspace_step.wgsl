@@ -2,8 +2,8 @@
 // energy over the span of four directions (`curvature`).
 //
 // At the start of a frame (stage 0) only the last frame's acceleration p_2 and what extrapolates it, p_1, are directions, and
-// the step is the point h WARMEST p_2 + f p_1 of the triangle 0 <= f <= h <= 1 where the model is least. Later an iterate is accepted if E <= E_before + 1e-6 max(size, size_before), where size is the
-// sum of the magnitudes of the energy's terms. Then, with f_i = 1 / |p_i|, A'_ij = f_i f_j
+// the step is the point h WARMEST p_2 + f p_1 of the triangle 0 <= f <= h <= 1 where the model is least. Later an iterate is
+// accepted if E <= E_before + 1e-6 max(size, size_before), where size is the sum of the magnitudes of the energy's terms. Then, with f_i = 1 / |p_i|, A'_ij = f_i f_j
 // A_ij, b'_i = f_i b_i and A' = V diag(l) V^T,
 //   c = -f V diag(1 / max(|l|, 1e-7 max |l|)) V^T b',  step = sum_i c_i p_i,  a += step,  p_2 = step
 // Directions that are 0 or not finite are left out. If A' is 0 there is no step. An iterate that is not

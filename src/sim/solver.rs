@@ -295,7 +295,7 @@ impl Solver {
     }
 
     /// Resets what the optimizer remembers from frame to frame: the hidden state of a network, and the accelerations
-    /// of the last frame.
+    /// of the last two frames.
     pub fn reset_memory(&self) {
         if let Some(earlier) = self.method.earlier() {
             let zeros = vec![0f32; earlier.len()];

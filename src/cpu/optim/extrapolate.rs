@@ -89,7 +89,7 @@ fn add_runs<'a, T: Real>(to: &mut [T], weights: [T; REACH + 1], run: impl Fn(usi
 
 /// Returns the factors of the last frame's accelerations p and of what extrapolates them, s
 /// ([`Extrapolation::smooth`]), for which the quadratic model along both, in this order, is least: `h WARMEST p + f s`
-/// with 0 <= f <= h <= 1. Everything in this triangle is a start that does not pump energy ([`WARMEST`]).
+/// with 0 <= f <= h <= 1. Where f <= 1/2 no mode is pumped; beyond, soft ones are not ([`WARMEST`]).
 pub fn best_start(model: &LocalModel) -> [f64; 2] {
     let (b, a) = (model.slopes, model.curvature);
     let slopes = [WARMEST * b[0], b[1]];
