@@ -39,37 +39,17 @@ pub const SHORTEST: f64 = 0.1;
 /// Longest history of L-BFGS that the kernel supports.
 pub const MAX_HISTORY: usize = 32;
 
-/// Share of the tangential stiffness that a mode of the sheet has along its other axis, and across its surface: a
-/// sheet under tension resists there, too. Half of it or twice as much changes the gaps of the scenes of [`SheetConstants::FITTED`]
-/// by 3 % at most.
-pub const TENSION: f64 = 3e-4;
+pub use crate::cloth::modes::{MAX_REACTIONS, SheetConstants, TENSION};
 
-/// What the inverse Hessians of a sheet in motion take from a flat one, as multiples of its own.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SheetConstants {
-    /// Inertia of a mode in the axes of the world. What is slow there is left to the sheet's own axes, which know where it is soft.
-    pub spatial_inertia: f64,
-    /// Inertia of a mode along the sheet's surface.
-    pub tangential_inertia: f64,
-    /// Resistance to bending of a mode across the sheet's surface.
-    pub normal_bend: f64,
-}
+/// Numbers for each particle of a sheet: its three axes, a factor along those of the world, and the edges that begin there.
+pub const AXES: usize = 16;
 
-impl SheetConstants {
-    /// Those of a flat sheet.
-    pub const FLAT: Self = Self { spatial_inertia: 1.0, tangential_inertia: 1.0, normal_bend: 1.0 };
-    /// Those that leave little of the gap of ten scenes, from 24x40 to 64x64 particles, of five fabrics and the default sheet, in
-    /// five and ten iterations. An evolution strategy (CMA-ES) over the mean logarithm of the gaps found them, together with
-    /// [`HANDLE_SHARE`] and the exponents of the lengths of axes ([`crate::cpu::cloth::sheet_axes`]). All ten gaps shrink, on average
-    /// to 47 % with five iterations and 55 % with ten. An inertia of 7 in space, of 3 along the surface and a bend of 0.25 leave 5 %
-    /// less, but bodies that move by several of their radii a frame then push particles around themselves in too few steps.
-    pub const FITTED: Self = Self { spatial_inertia: 3.0, tangential_inertia: 2.0, normal_bend: 0.5 };
-}
+/// How much a curved sheet resists across its surface, as a share of what its stretch would add if nothing moved along it.
+pub const ARCHING: f64 = 0.03;
 
-/// Numbers for each particle of a sheet: its three axes, and a factor along those of the world.
-pub const AXES: usize = 10;
-
-/// What a handle takes away from the step of a particle near it: this share over one plus their distance.
+/// What a handle takes away from the step of a particle near it: this share over one plus their distance. With this and [`ARCHING`],
+/// and the inertia and bend of [`SheetConstants::FITTED`], five iterations leave little of the gap of ten scenes, from 24x40 to 64x64
+/// particles, of six fabrics and the default sheet; an evolution strategy (CMA-ES) found them.
 pub const HANDLE_SHARE: f64 = 0.5;
 
 /// Rows and columns of particles within which a handle counts as near.

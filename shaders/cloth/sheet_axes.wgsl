@@ -1,4 +1,4 @@
-// Start of a frame of a subspace method: the sheet's own axes at each particle, how stiff it is along them, and the
+// Start of a frame of a subspace method: the sheet's own axes at each particle, its edges, and the
 // accelerations of the last frame as a direction, with what extrapolates them (`extrapolate`).
 //
 // With the central differences of the predicted positions y = x + base (one-sided at the borders), of unit
@@ -8,16 +8,16 @@
 // third axis is t1 x t2. Where a difference has no direction they are the axes of the world. A particle stands for a
 // neighbour that the cloth doesn't have.
 //
-// A force takes a particle less far along an axis where the sheet is under tension, and where the other axis is compressed.
-// With the mean strains e_1 and e_2 of its edges along u and v, the coefficients k_1 and k_2 of the stretch, and the distance d
-// to the nearest handle,
-//   |t1| = near / (sqrt(1 + 2 k_1 max(e_1, 0)) (1 + 2 k_2 max(-e_2, 0))), |t2| likewise, |normal| = near,
+// A force takes a particle less far next to a handle, and across a curved sheet. With the coefficients k_1 and k_2 of the stretch,
+// the changes c_1 and c_2 from one edge to the next along u and v, and the distance d to the nearest handle,
+//   |t1| = |t2| = near, |normal| = near / sqrt(1 + ARCHING (k_1 |c_1|^2 + k_2 |c_2|^2)),
 //   near = 1 - HANDLE_SHARE / (1 + d), or 1 if no handle is within HANDLE_REACH rows and columns.
+// The edges to (i+1, j) and to (i, j+1) have the root of their stiffness as length, and 0 if the cloth doesn't have them.
 //
 // cloths: [B]
 // marks: [B, n]
 // x, base: [B, 3, n]
-// axes: [B, 10, n] = t1, t2, the normal, near
+// axes: [B, 16, n] = t1, t2, the normal, near, the edge down, the edge to the right
 // directions: [K, slot], of which slot 2 [B, 3, n] becomes a, 0 where no free particle is and where a is not finite, and
 //   slot 0 (2 - WARMEST) a - earlier, also 0 where no free particle is
 // a: [B, 3, n], becomes 0
@@ -45,6 +45,7 @@ struct Params {
 
 override HANDLE_SHARE: f32 = 0.5;
 override HANDLE_REACH: u32 = 2;
+override ARCHING: f32 = 0.03;
 override WARMEST: f32 = 0.5;
 
 // Shortest vector that has a direction.
@@ -73,18 +74,19 @@ fn neighbour(b: u32, p: u32, q: u32) -> u32 {
     return select(q, p, is_outside(marks[b * params.rows * params.columns + q]));
 }
 
-// Returns the mean strain of two edges, of which one or both may be missing (of length 0).
-fn strain(one: vec3f, two: vec3f) -> f32 {
-    let lengths = vec2f(length(one), length(two));
-    let exist = lengths > vec2f();
-    let sums = vec2f(dot(select(vec2f(), lengths - 1.0, exist), vec2f(1.0)), dot(select(vec2f(), vec2f(1.0), exist), vec2f(1.0)));
-    let mean = sums.x / max(sums.y, 1.0);
-    return select(0.0, mean, is_finite(mean));
+// Returns the square of the change from one edge to the next, 0 if one is missing (of length 0), or if it is not finite.
+fn bend(one: vec3f, two: vec3f) -> f32 {
+    let change = two - one;
+    let square = dot(change, change);
+    return select(0.0, square, length(one) > 0.0 && length(two) > 0.0 && is_finite(square));
 }
 
-// Returns the length of an axis, given 2 k e along it and along the other one.
-fn length_along(own: f32, other: f32) -> f32 {
-    return 1.0 / (sqrt(1.0 + max(own, 0.0)) * (1.0 + max(-other, 0.0)));
+// Returns an edge from particle p to q with the root of its stiffness as length, given that of the material's edges.
+fn stiff(b: u32, p: u32, q: u32, edge: vec3f, stiffness: f32) -> vec3f {
+    let first = b * params.rows * params.columns;
+    let ends = stiffness_of(marks[first + p]) * stiffness_of(marks[first + q]);
+    let factor = 0.5 * (stiffness_of(marks[first + p]) + stiffness_of(marks[first + q]));
+    return select(vec3f(), sqrt(factor * stiffness) * unit(edge).xyz, ends > 0.0);
 }
 
 // Returns 1 / (1 + d) for the distance d of the nearest handle, 0 if there is none within HANDLE_REACH rows and columns.
@@ -141,18 +143,26 @@ fn sheet_axes(
         t2 = 0.7071067811865476 * (s.xyz - towards_u);
     }
     let cloth = cloths[b];
-    let forces = 2.0 * cloth.material.x * cloth.weave.xy * vec2f(strain(u1, u2), strain(v1, v2));
+    let stretch = cloth.material.x * cloth.weave.xy;
     let near = 1.0 - HANDLE_SHARE * nearness(b, i, j);
-    let axis1 = near * length_along(forces.x, forces.y) * t1;
-    let axis2 = near * length_along(forces.y, forces.x) * t2;
-    let axis3 = near * cross(t1, t2);
-    let out = b * 10u * n + p;
+    let arch = ARCHING * dot(stretch, vec2f(bend(u1, u2), bend(v1, v2)));
+    let axis1 = near * t1;
+    let axis2 = near * t2;
+    let axis3 = near * inverseSqrt(1.0 + arch) * cross(t1, t2);
+    let h = f32(params.rows);
+    let w = f32(params.columns);
+    let each = 2.0 * (1.0 + cloth.gravity.w) * stretch / vec2f((h - 1.0) * w, h * (w - 1.0));
+    let down = stiff(b, p, below, u2, each.x);
+    let right = stiff(b, p, behind, v2, each.y);
+    let out = b * 16u * n + p;
     axes[out + 9u * n] = near;
     let free = is_free(marks[b * n + p]);
     for (var c = 0u; c < 3u; c++) {
         axes[out + c * n] = axis1[c];
         axes[out + (3u + c) * n] = axis2[c];
         axes[out + (6u + c) * n] = axis3[c];
+        axes[out + (10u + c) * n] = down[c];
+        axes[out + (13u + c) * n] = right[c];
         let at = first + c * n + p;
         let last = select(0.0, a[at], free && is_finite(a[at]));
         directions[2u * params.slot + at] = last;

@@ -1,23 +1,22 @@
-// Cosine transform along the columns of six fields, and the division by the eigenvalues of a sheet.
+// Cosine transform along the columns of four fields, or two, and the division by the eigenvalues of a sheet.
 //
 // Forward:  out[f, k, l] = sum_i table[k, i] z[f, i, l] / lambda_f(k, l)
 // INVERSE:  out[f, i, l] = sum_k table[k, i] z[f, k, l]
 //
-// With N = H W, m = mu[k] and q = mu[H + l], fields 0 to 2 have the eigenvalue of a sheet at rest (see
-// `rest_modes`), but for its inertia, fields 3 to 5 those of one component in the sheet's own axes:
-//   lambda_0 = lambda_rest + (SPATIAL - 1) / N
-//   lambda_3 = w_u (m + TAU q) + (TANGENTIAL + 8 k_shear q + 2 k_across q^2) / N
-//   lambda_4 = w_v (q + TAU m) + (TANGENTIAL + 8 k_shear m + 2 k_down m^2) / N
-//   lambda_5 = TAU (w_u m + w_v q) + (1 + 2 TAU k_stretch + 2 BEND (k_down m^2 + k_across q^2)) / N
+// With N = H W, m = mu[k] and q = mu[H + l], the first three of four fields have the eigenvalue of a sheet at rest (see
+// `rest_modes`), the fourth that across its surface; two fields (FIELDS = 2) have those along either axis of the sheet:
+//   lambda_3 = TAU (w_u m + w_v q) + (NORMAL + 2 TAU k_stretch + 2 BEND (k_down m^2 + k_across q^2)) / N
+//   lambda_0 = w_u (m + TAU q) + (TANGENTIAL + 8 k_shear q + 2 k_across q^2) / N
+//   lambda_1 = w_v (q + TAU m) + (TANGENTIAL + 8 k_shear m + 2 k_down m^2) / N
 // where w_u = 2 k_u (1 + t) / ((H - 1) W) and w_v = 2 k_v (1 + t) / (H (W - 1)), k_u and k_v are the coefficients of the stretch down
 // and across, k_down and k_across those of the bend, k_stretch is that of the stretch of both axes, and t its damping.
 //
 // cloths: [B]
 // table: [H, H], the orthonormal DCT-II
 // mu: [H + W], 2 - 2 cos(pi k / H), then 2 - 2 cos(pi l / W)
-// z, out: [B, 6, H, W]
+// z, out: [B, FIELDS, H, W]
 //
-// One invocation per 4 x 4 elements of the result. Workgroups: (W / 32, H / 32, 6 B).
+// One invocation per 4 x 4 elements of the result. Workgroups: (W / 32, H / 32, FIELDS B).
 // Adjoint: none, the optimizer is not trained.
 
 struct Params {
@@ -35,9 +34,11 @@ struct Params {
 override INVERSE: bool = false;
 // Share of an edge's stiffness that acts across it.
 override TAU: f32 = 0.0003;
-// Inertia in the axes of the world and along the sheet, and bend across it, as multiples of those of a flat sheet.
-override SPATIAL: f32 = 1;
+// 4 or 2.
+override FIELDS: u32 = 4;
+// Inertia along the sheet and across it, and bend across it, as multiples of those of a flat sheet.
 override TANGENTIAL: f32 = 1;
+override NORMAL: f32 = 1;
 override BEND: f32 = 1;
 
 // Rows of the product that are summed at once.
@@ -84,22 +85,17 @@ fn eigenvalues(field: u32, k: u32, l: u32, cloth: Cloth) -> vec4f {
     var stretch = by_u * m + by_v * q;
     let bend = 2.0 * material.z * (weave.z * m * m + weave.w * q * q);
     var others = vec4f(1.0);
-    switch field {
-        case 3u: {
-            stretch = by_u * (m + TAU * q);
-            others = TANGENTIAL + 8.0 * material.y * q + 2.0 * material.z * weave.w * q * q;
-        }
-        case 4u: {
-            stretch = by_v * (q + TAU * m);
-            others = TANGENTIAL + 8.0 * material.y * m + 2.0 * material.z * weave.z * m * m;
-        }
-        case 5u: {
-            stretch *= TAU;
-            others += 2.0 * TAU * material.x + BEND * bend;
-        }
-        default: {
-            others = SPATIAL + bend + 4.0 * material.y * (m + q) + material.w;
-        }
+    if FIELDS == 2u && field == 0u {
+        stretch = by_u * (m + TAU * q);
+        others = TANGENTIAL + 8.0 * material.y * q + 2.0 * material.z * weave.w * q * q;
+    } else if FIELDS == 2u {
+        stretch = by_v * (q + TAU * m);
+        others = TANGENTIAL + 8.0 * material.y * m + 2.0 * material.z * weave.z * m * m;
+    } else if field == 3u {
+        stretch *= TAU;
+        others = NORMAL + 2.0 * TAU * material.x + BEND * bend;
+    } else {
+        others += bend + 4.0 * material.y * (m + q) + material.w;
     }
     return stretch + others / (h * w);
 }
@@ -111,7 +107,7 @@ fn keep(field: u32, row: u32, column: u32, sum: vec4f) {
     }
     var v = sum;
     if !INVERSE {
-        v /= eigenvalues(field % 6u, row, column, cloths[field / 6u]);
+        v /= eigenvalues(field % FIELDS, row, column, cloths[field / FIELDS]);
     }
     let at = (field * params.rows + row) * params.columns + column;
     let columns = params.columns - column;

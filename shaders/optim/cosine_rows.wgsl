@@ -1,15 +1,15 @@
-// Cosine transform along the rows of the gradient g, and of g in the axes of the sheet.
+// Cosine transform along the rows of forces on the particles of a sheet.
 //
-// z[f, i, l] = sum_j table[l, j] field_f[i, j]; fields 0 to 2 are the components of near g, fields 3 to 5 the
-// products of g with t1, t2 and the normal (`sheet_axes`). Both are 0 where no free particle is.
+// z[f, i, l] = sum_j table[l, j] field_f[i, j]. Of four fields, 0 to 2 are the components of near v, and 3 is the product of the
+// forces v with the normal; the two fields (FIELDS = 2) are those with t1 and t2 (`sheet_axes`). All are 0 where no free particle is.
 //
-// grad: [B, 3, H, W]
+// forces: [B, 3, H, W]
 // marks: [B, H, W]
-// axes: [B, 10, H, W] = t1, t2, the normal, near
+// axes: [B, 16, H, W] = t1, t2, the normal, near, and two edges
 // table: [W, W], the orthonormal DCT-II, table[l, j] = sqrt((l == 0 ? 1 : 2) / W) cos(pi l (2 j + 1) / 2 W)
-// z: [B, 6, H, W]
+// z: [B, FIELDS, H, W]
 //
-// One invocation per four columns of a row, all six fields. Workgroups: (W / 32, H / 8, B).
+// One invocation per four columns of a row, all fields. Workgroups: (W / 32, H / 8, B).
 // Adjoint: none, the optimizer is not trained.
 
 struct Params {
@@ -18,30 +18,33 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> grad: array<f32>;
+@group(0) @binding(1) var<storage, read> forces: array<f32>;
 @group(0) @binding(2) var<storage, read> marks: array<vec2u>;
 @group(0) @binding(3) var<storage, read> axes: array<f32>;
 @group(0) @binding(4) var<storage, read> table: array<f32>;
 @group(0) @binding(5) var<storage, read_write> z: array<f32>;
 
+// Returns an axis of a particle, given where its first component is.
+fn axis(at: u32, n: u32) -> vec3f {
+    return vec3f(axes[at], axes[at + n], axes[at + 2u * n]);
+}
+
 // Stores the fields of a particle, 0 if there is none.
 fn load_particle(b: u32, i: u32, j: u32, place: u32) {
     let n = params.rows * params.columns;
     let p = i * params.columns + j;
-    var world = vec3f();
-    var own = vec3f();
+    var of_particle = vec4f();
     if i < params.rows && j < params.columns && is_free(marks[b * n + p]) {
         let at = b * 3u * n + p;
-        let axis = b * 10u * n + p;
-        let t1 = vec3f(axes[axis], axes[axis + n], axes[axis + 2u * n]);
-        let t2 = vec3f(axes[axis + 3u * n], axes[axis + 4u * n], axes[axis + 5u * n]);
-        let normal = vec3f(axes[axis + 6u * n], axes[axis + 7u * n], axes[axis + 8u * n]);
-        let g = vec3f(grad[at], grad[at + n], grad[at + 2u * n]);
-        world = axes[axis + 9u * n] * g;
-        own = vec3f(dot(t1, g), dot(t2, g), dot(normal, g));
+        let first = b * 16u * n + p;
+        let v = vec3f(forces[at], forces[at + n], forces[at + 2u * n]);
+        if FIELDS > 2u {
+            of_particle = vec4f(axes[first + 9u * n] * v, dot(axis(first + 6u * n, n), v));
+        } else {
+            of_particle = vec4f(dot(axis(first, n), v), dot(axis(first + 3u * n, n), v), 0.0, 0.0);
+        }
     }
-    firsts[place] = world;
-    lasts[place] = own;
+    fields[place] = of_particle;
 }
 
 // Returns element (l, j) of the table, 0 outside of it.
@@ -84,13 +87,13 @@ fn cosine_rows(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id
     let l = first_column + 4u * (lane % 8u);
     if i < params.rows && l < params.columns {
         let n = params.rows * params.columns;
-        let at = b * 6u * n + i * params.columns + l;
+        let at = b * FIELDS * n + i * params.columns + l;
         let columns = params.columns - l;
         keep(at, sum0, columns);
         keep(at + n, sum1, columns);
-        keep(at + 2u * n, sum2, columns);
-        keep(at + 3u * n, sum3, columns);
-        keep(at + 4u * n, sum4, columns);
-        keep(at + 5u * n, sum5, columns);
+        if FIELDS > 2u {
+            keep(at + 2u * n, sum2, columns);
+            keep(at + 3u * n, sum3, columns);
+        }
     }
 }

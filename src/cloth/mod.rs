@@ -9,6 +9,7 @@ mod grid;
 mod intersections;
 mod mask;
 mod model;
+pub mod modes;
 mod proximity;
 pub mod terms;
 mod untangle;

@@ -2,12 +2,12 @@
 
 use super::FreeEdges;
 use crate::Frame;
+use crate::cloth::modes::SheetConstants;
 use crate::cloth::{Control, Grid, Mark, Material, Model, State};
 use crate::cpu::cloth::{AXES, sheet_axes};
 use crate::cpu::optim::{Cosines, InverseHessian, RestHessian, SheetHessian};
 use crate::cpu::{Objective, free_fall};
 use crate::scene::{Script, Setup};
-use crate::settings::SheetConstants;
 use crate::statistics::median;
 use std::fmt;
 use std::sync::Arc;
@@ -195,13 +195,14 @@ struct Estimate {
     objective: Objective<f64>,
     in_space: RestHessian<f64>,
     in_sheet: SheetHessian<f64>,
-    /// Shape [10, H, W].
+    /// Shape [16, H, W].
     axes: Vec<f64>,
     /// Shape [3, H, W].
     still: Vec<f64>,
     /// The decrease of the energy in a frame of free fall.
     of_fall: f64,
     material: Material,
+    damping: f64,
 }
 
 impl Estimate {
@@ -219,6 +220,7 @@ impl Estimate {
             still: vec![0.0; 3 * n],
             of_fall: free_fall(model),
             material: cloth.material,
+            damping: cloth.damping,
         }
     }
 
@@ -227,7 +229,13 @@ impl Estimate {
         self.objective.begin_frame(before, control);
         self.objective.set_accelerations(&self.still);
         self.objective.evaluate(before, control);
-        sheet_axes((self.grid, &self.marks, self.material), &before.x, &before.v, &mut self.axes);
+        sheet_axes(
+            (self.grid, &self.marks),
+            (self.material, self.damping),
+            &before.x,
+            &before.v,
+            &mut self.axes,
+        );
         let all = self.decrease();
         self.objective.gradient_at_end(before, after, control);
         let left = self.decrease();

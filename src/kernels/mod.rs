@@ -52,6 +52,7 @@ pub(crate) mod pieces {
     pub const DISPLACED: &str = include_str!("../../shaders/pieces/displaced.wgsl");
     pub const ELASTIC_ALONG: &str = include_str!("../../shaders/pieces/elastic_along.wgsl");
     pub const FEATURES: &str = include_str!("../../shaders/pieces/features.wgsl");
+    pub const FOUR_FIELDS: &str = include_str!("../../shaders/pieces/four_fields.wgsl");
     pub const LIFTED_EMBEDDING: &str = include_str!("../../shaders/pieces/lifted_embedding.wgsl");
     pub const LIFTED_FIELDS: &str = include_str!("../../shaders/pieces/lifted_fields.wgsl");
     pub const LIFTING_INPUTS: &str = include_str!("../../shaders/pieces/lifting_inputs.wgsl");
@@ -62,7 +63,6 @@ pub(crate) mod pieces {
     pub const PRODUCTS: &str = include_str!("../../shaders/pieces/products.wgsl");
     pub const PRODUCTS_PART: &str = include_str!("../../shaders/pieces/products_part.wgsl");
     pub const SCALAR_HEAD: &str = include_str!("../../shaders/pieces/scalar_head.wgsl");
-    pub const SIX_FIELDS: &str = include_str!("../../shaders/pieces/six_fields.wgsl");
     pub const TARGET: &str = include_str!("../../shaders/pieces/target.wgsl");
     pub const TRIAL: &str = include_str!("../../shaders/pieces/trial.wgsl");
 }

@@ -2,7 +2,8 @@
 
 use super::learned::Learned;
 use super::{Direction, Initial, Length, Optimizer};
-use crate::cloth::Grid;
+use crate::cloth::Model;
+use crate::cloth::modes::Reactions;
 use crate::gpu::{Context, Schedule, Tensor, Tuning};
 use crate::kernels::cloth::Objective;
 use crate::kernels::operator::Scales;
@@ -48,14 +49,15 @@ pub(super) enum Method {
 }
 
 impl Method {
-    /// Builds the kernels of `optimizer` and its state for `batch` cloths and frames of `iterations`. Fails if
+    /// Builds the kernels of `optimizer` and its state for the cloths of `model` and frames of `iterations`. Fails if
     /// the device does not support it, or if the grid is too large for it.
     pub fn new(
         context: &Context,
         optimizer: &Optimizer,
         tuning: &Tuning,
-        (grid, batch, iterations): (Grid, usize, usize),
+        (model, iterations): (&Model, usize),
     ) -> Result<Self> {
+        let (grid, batch) = (model.grid, model.batch());
         let (samples, n) = (3 * batch, grid.particles());
         let memory = |settings: LbfgsSettings| LbfgsMemory::new(context, batch, n, settings.history);
         let refused = || {
@@ -78,7 +80,8 @@ impl Method {
                 _ => return refused(),
             };
             let count = optimizer.directions.len();
-            let plan = Box::new(Subspace::new(context, count, iterations, (grid, batch))?);
+            let plan =
+                Box::new(Subspace::new(context, (count, Reactions::room(model)), iterations, (grid, batch))?);
             return Ok(Self::Subspace { plan, network, step_scale: StepScale::new(context)? });
         }
         let [direction] = &optimizer.directions[..] else { return refused() };
@@ -140,6 +143,13 @@ impl Method {
         match self {
             Self::Subspace { plan, .. } => Some(plan.earlier()),
             _ => None,
+        }
+    }
+
+    /// Takes the handles and materials of the cloths, from the next submission on.
+    pub fn set_cloths(&self, context: &Context, model: &Model) {
+        if let Self::Subspace { plan, .. } = self {
+            plan.set_cloths(context, model);
         }
     }
 

@@ -34,11 +34,11 @@ pub enum Direction {
         initial: Initial,
     },
     /// Against the gradient times the inverse Hessian of the sheet at rest, by a cosine transform, alike in x, y
-    /// and z, and shorter near handles.
+    /// and z, with the reactions of its handles ([`crate::cloth::modes::Reactions`]).
     Spectral,
     /// As [`Direction::Spectral`], with an inverse of its own for each of the sheet's own axes at the predicted
-    /// start of the frame: a sheet is a thousand times stiffer along its surface than across it. It is shorter where the sheet
-    /// is under tension ([`crate::cpu::cloth::sheet_axes`]).
+    /// start of the frame: first across its surface, where it is a thousand times softer than along it, and then along it, by
+    /// the forces that its stretch answers with ([`crate::cpu::optim::SheetSteps`]).
     CoRotated,
     /// The step that was taken last, or in the first iteration the accelerations that the frame starts at, near those of the
     /// two frames before. With preconditioned gradients it makes the iteration a conjugate-gradient method.

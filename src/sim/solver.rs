@@ -80,7 +80,7 @@ impl Solver {
             return Err(Error::invalid("solver", "iterations", "at least 1", 0));
         }
         let (grid, batch) = (model.grid, model.batch());
-        let method = Method::new(context, optimizer, &context.tuning(), (grid, batch, iterations))?;
+        let method = Method::new(context, optimizer, &context.tuning(), (model, iterations))?;
         let room = Room {
             handles: batch * grid.particles(),
             repulsion: model.repels(),
@@ -91,6 +91,7 @@ impl Solver {
         };
         let objective = Objective::new(context, grid, batch, room)?;
         objective.set_cloths(model);
+        method.set_cloths(context, model);
         let of_squares = [3 * batch, gradient::parts(grid), 2];
         // One more, the last, if there is a gradient before the first iteration.
         let starts_before = method.checks_energy();
@@ -262,6 +263,7 @@ impl Solver {
             self.targets = self.objective.targets.view(0, &[model.handles(), 3]);
         }
         self.objective.set_cloths(&model);
+        self.method.set_cloths(&self.context, &model);
         self.model = model;
         if handles_differ {
             self.hold_handles();

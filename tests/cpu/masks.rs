@@ -126,24 +126,24 @@ fn masked_cloths_are_minimised_about_as_well() {
     // The mean of three sheets that differ by less than matters: roundings alone move the gap of one by 4 %.
     let gap = |mask: &str, optimizer: &Optimizer| {
         let gaps = [0.9999, 1.0, 1.0001].map(|side_m| gap_of(side_m, mask, optimizer));
-        println!("{gaps:.4?}");
+        println!("{gaps:.6?}");
         gaps.iter().sum::<f64>() / 3.0
     };
     for optimizer in of_names(&["spectral", "fnopt"]) {
         let full = gap("", &optimizer);
-        // The directions know nothing of holes, where the sheet ends: there the gap is up to 2.4 times that of the full sheet,
-        // which is 0.14 %.
+        // The directions know nothing of holes, where the sheet ends: there the gap is up to four times that of the full sheet,
+        // which is 0.006 %.
         for (mask, most) in [
             (r#""disc""#, 1.5),
             (r#"{"polygon": [[0, 0.2], [1, 0.2], [1, 1], [0, 1]]}"#, 1.5),
-            (r#"{"holes": [{"circle": [0.5, 0.5], "radius_m": 0.15}]}"#, 2.6),
-            (r#"{"holes": [{"circle": [0.5, 0.5], "radius_m": 0.3}]}"#, 2.6),
-            (r#"{"holes": [{"circle": [0.3, 0.6], "radius_m": 0.15}]}"#, 2.6),
+            (r#"{"holes": [{"circle": [0.5, 0.5], "radius_m": 0.15}]}"#, 5.0),
+            (r#"{"holes": [{"circle": [0.5, 0.5], "radius_m": 0.3}]}"#, 5.0),
+            (r#"{"holes": [{"circle": [0.3, 0.6], "radius_m": 0.15}]}"#, 5.0),
         ] {
             let masked = gap(&format!(r#", "mask": {mask}"#), &optimizer);
-            println!("{} {mask}: {:.2} %, full {:.2} %", optimizer.name(), 100.0 * masked, 100.0 * full);
+            println!("{} {mask}: {:.4} %, full {:.4} %", optimizer.name(), 100.0 * masked, 100.0 * full);
             let name = optimizer.name();
-            assert!(masked < most * full && masked < 0.004, "{name} {mask}: {masked} for {full}");
+            assert!(masked < most * full && masked < 0.0004, "{name} {mask}: {masked} for {full}");
         }
     }
 }

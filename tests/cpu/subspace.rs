@@ -2,13 +2,14 @@
 
 use crate::marks_of;
 use crate::noise::noise;
+use fnopt::cloth::modes::{MAX_REACTIONS, SheetConstants, TENSION};
 use fnopt::cloth::{Cloth, Control, Grid, Material, Model, Repulsion, State, Weave};
 use fnopt::cpu::cloth::{AXES, CurvatureRows, LocalModel, sheet_axes};
-use fnopt::cpu::optim::{Cosines, InverseHessian, RestHessian, SheetHessian, best_step};
+use fnopt::cpu::optim::{Cosines, InverseHessian, RestHessian, SheetHessian, SheetSteps, best_step};
 use fnopt::cpu::{Objective, Real, Solver};
 use fnopt::network::Weights;
 use fnopt::scene::Scene;
-use fnopt::settings::{HANDLE_SHARE, SheetConstants, TENSION};
+use fnopt::settings::{ARCHING, HANDLE_SHARE};
 use fnopt::sim::Optimizer;
 use std::sync::Arc;
 
@@ -254,19 +255,26 @@ fn axes_are_orthogonal_and_turn_with_the_sheet() {
     };
     let axes = |x: &[f64], shift: &[f64]| {
         let mut axes = vec![f64::NAN; AXES * n];
-        sheet_axes((grid, &marks_of(grid, &[]), Material::PAPER), x, shift, &mut axes);
+        sheet_axes((grid, &marks_of(grid, &[])), (Material::PAPER, 0.0), x, shift, &mut axes);
         axes
     };
     let (own, other) = (axes(&x, &shift), axes(&turned(&x), &turned(&shift)));
-    for (one, two) in own.chunks_exact(3 * n).zip(other.chunks_exact(3 * n)) {
-        turned(one).iter().zip(two).for_each(|(a, b)| assert!((a - b).abs() < 1e-12, "{a} {b}"));
+    // Three axes, then the factor, then two edges.
+    for first in [0, 3, 6, 10, 13] {
+        let of = |axes: &[f64]| axes[first * n..][..3 * n].to_vec();
+        turned(&of(&own))
+            .iter()
+            .zip(&of(&other))
+            .for_each(|(a, b)| assert!((a - b).abs() < 1e-12, "{a} {b}"));
     }
-    assert_eq!(own[9 * n..], other[9 * n..]);
+    assert_eq!(own[9 * n..10 * n], other[9 * n..10 * n]);
     for p in 0..n {
         let at = |first: usize| [0, 1, 2].map(|k| own[(first + k) * n + p]);
         let (one, two, normal) = (at(0), at(3), at(6));
         let of = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-        let products = [of(normal, normal) - 1.0, of(one, two), of(one, normal), of(two, normal)];
+        let lengths = [of(one, one) - 1.0, of(two, two) - 1.0];
+        assert!(of(normal, normal) < 1.0 + 1e-12 && lengths.iter().all(|v| v.abs() < 1e-12), "{lengths:?}");
+        let products = [of(one, two), of(one, normal), of(two, normal)];
         assert!(products.iter().all(|v| v.abs() < 1e-12), "{products:?}");
     }
     // The sheet at rest has i along y and j along x; one without extent has axes all the same.
@@ -276,39 +284,66 @@ fn axes_are_orthogonal_and_turn_with_the_sheet() {
 }
 
 #[test]
-fn axes_are_shorter_under_tension_beside_compression_and_next_to_handles() {
-    // 10 % longer along the height, 20 % shorter along the width, with one handle.
+fn axes_are_shorter_next_to_handles_and_across_an_arch() {
+    // Bent along the height by the same angle at every particle, with one handle.
     let grid = Grid { h: 9, w: 12 };
     let (n, w) = (grid.particles(), grid.w);
     let material = Material { weave: Weave { stretch: [1.0, 0.5], ..Weave::EVEN }, ..Material::PAPER };
     let mut x = State::<f64>::rest(grid, 1).x;
-    x[..n].iter_mut().for_each(|x| *x *= 0.8);
-    x[n..2 * n].iter_mut().for_each(|y| *y *= 1.1);
+    let angle = 0.2_f64;
+    for p in 0..n {
+        // Ends of edges of length 1.
+        let (mut y, mut z) = (0.0, 0.0);
+        for k in 0..p / w {
+            y += (angle * k as f64).cos();
+            z += (angle * k as f64).sin();
+        }
+        (x[n + p], x[2 * n + p]) = (y, z);
+    }
     let handle = 4 * w + 5;
     let mut axes = vec![f64::NAN; AXES * n];
-    sheet_axes((grid, &marks_of(grid, &[handle]), material), &x, &vec![0.0; 3 * n], &mut axes);
+    let marks = marks_of(grid, &[handle]);
+    sheet_axes((grid, &marks), (material, 0.5), &x, &vec![0.0; 3 * n], &mut axes);
     let length =
         |p: usize, first: usize| (0..3).map(|c| axes[(first + c) * n + p].powi(2)).sum::<f64>().sqrt();
-    // k is 1000 along the height and 500 along the width.
-    let (stretched, compressed) = (2.0 * 1000.0 * 0.1, 2.0 * 500.0 * 0.2);
-    let along_height = 1.0 / ((1.0_f64 + stretched).sqrt() * (1.0 + compressed));
-    for (p, distance) in
-        [(0, None), (4 * w + 2, None), (handle + 1, Some(1.0)), (handle + w + 1, Some(2f64.sqrt()))]
-    {
+    // k is 1000 along the height. The first row has no edge before it, and is no arch.
+    let change = 2.0 * (angle / 2.0).sin();
+    let arch = 1.0 / (1.0 + ARCHING * 1000.0 * change * change).sqrt();
+    for (p, distance, arch) in [
+        (0, None, 1.0),
+        (4 * w + 2, None, arch),
+        (handle + 1, Some(1.0), arch),
+        (handle + w + 1, Some(2f64.sqrt()), arch),
+    ] {
         let near = distance.map_or(1.0, |d| 1.0 - HANDLE_SHARE / (1.0 + d));
-        for (first, expected) in [(0, along_height), (3, 1.0), (6, 1.0)] {
+        for (first, expected) in [(0, 1.0), (3, 1.0), (6, arch)] {
             assert_near(&format!("axis {first} of {p}"), length(p, first), near * expected, 1.0, 1e-12);
         }
         assert_near("factor", axes[9 * n + p], near, 1.0, 1e-12);
     }
+    // Edges are as stiff as their energy k (|e| - 1)^2 and the damping of half a frame make them.
+    let stiffness = [2.0 * 1.5 * 1000.0 / (8.0 * 12.0), 2.0 * 1.5 * 500.0 / (9.0 * 11.0)];
+    for (first, stiffness, last) in [(10, stiffness[0], 8 * w), (13, stiffness[1], w - 1)] {
+        assert_near("edge", length(3 * w + 4, first), f64::sqrt(stiffness), 1.0, 1e-12);
+        assert_eq!(length(last, first), 0.0, "past the border");
+    }
 }
 
-/// Returns the products of the inverse Hessian of a sheet with a field: in space, in the sheet.
-fn inverses(grid: Grid, cloth: &Cloth, axes: &[f64], field: &[f64]) -> [Vec<f64>; 2] {
+/// Returns the product of the inverse Hessian in the sheet with a field.
+fn inverse_in_sheet(grid: Grid, cloth: &Cloth, axes: &[f64], field: &[f64]) -> Vec<f64> {
     let mut hessian = SheetHessian::new(&Arc::new(Cosines::new(grid)), cloth, &SheetConstants::FITTED);
-    let mut both = [field.to_vec(), field.to_vec()];
-    hessian.apply_in_space(axes, &mut both[0]);
-    hessian.apply_in_sheet(axes, &mut both[1]);
+    let mut product = field.to_vec();
+    hessian.apply_in_sheet(axes, &mut product);
+    product
+}
+
+/// Returns the steps of a sheet by these forces: in space, in the sheet.
+fn steps(grid: Grid, cloth: &Cloth, axes: &[f64], forces: &[f64]) -> [Vec<f64>; 2] {
+    let of = (cloth, &SheetConstants::FITTED);
+    let mut steps = SheetSteps::new(&Arc::new(Cosines::new(grid)), of, MAX_REACTIONS);
+    let mut both = [forces.to_vec(), forces.to_vec()];
+    steps.in_space(axes, &mut both[0]);
+    steps.in_sheet(axes, &mut both[1]);
     both
 }
 
@@ -320,10 +355,14 @@ fn inverses_of_a_sheet_are_symmetric_and_positive() {
         let mut x = State::<f64>::rest(grid, 1).x;
         x.iter_mut().zip(noise(3 * n, 7)).for_each(|(x, d)| *x += 0.3 * d);
         let mut axes = vec![0.0; AXES * n];
-        sheet_axes((grid, &marks_of(grid, &cloth.handles), cloth.material), &x, &vec![0.0; 3 * n], &mut axes);
+        let marks = marks_of(grid, &cloth.handles);
+        sheet_axes((grid, &marks), (cloth.material, 0.0), &x, &vec![0.0; 3 * n], &mut axes);
         let (u, w) = (noise(3 * n, 8), noise(3 * n, 9));
-        let (of_u, of_w) = (inverses(grid, &cloth, &axes, &u), inverses(grid, &cloth, &axes, &w));
-        for (of_u, of_w) in of_u.iter().zip(&of_w) {
+        let both = |field: &[f64]| {
+            let [in_space, _] = steps(grid, &cloth, &axes, field);
+            [in_space, inverse_in_sheet(grid, &cloth, &axes, field)]
+        };
+        for (of_u, of_w) in both(&u).iter().zip(&both(&w)) {
             let (one, two) = (dot(of_u, &w), dot(&u, of_w));
             assert_near("symmetry", one, two, one.abs(), 1e-10);
             assert!(dot(of_u, &u) > 0.0 && cloth.handles.iter().all(|&p| of_u[p] == 0.0));
@@ -332,15 +371,15 @@ fn inverses_of_a_sheet_are_symmetric_and_positive() {
 }
 
 #[test]
-fn inverses_of_a_sheet_are_known_for_the_waves_of_a_flat_one() {
-    // In space the inverse is that at rest but for its inertia; in the sheet it knows that the sheet is soft across its surface: it
-    // takes the normal wave further.
+fn steps_are_known_for_the_waves_of_a_flat_sheet() {
+    // In space the step is that of the inverse at rest; in the sheet it knows that the sheet is soft across its surface: it
+    // takes the normal wave further. Nothing couples the two in a flat sheet.
     let grid = Grid { h: 16, w: 12 };
     let n = grid.particles();
     let cloth = Cloth::default();
     let mut axes = vec![0.0; AXES * n];
     let at_rest = State::<f64>::rest(grid, 1).x;
-    sheet_axes((grid, &marks_of(grid, &[]), cloth.material), &at_rest, &vec![0.0; 3 * n], &mut axes);
+    sheet_axes((grid, &marks_of(grid, &[])), (cloth.material, 0.0), &at_rest, &vec![0.0; 3 * n], &mut axes);
     let wave = |k: usize, i: usize| (std::f64::consts::PI * (k * (2 * i + 1)) as f64 / 32.0).cos();
     let field = |component: usize| {
         let mut field = vec![0.0; 3 * n];
@@ -362,16 +401,17 @@ fn inverses_of_a_sheet_are_known_for_the_waves_of_a_flat_one() {
         ),
         (
             2,
-            (1.0 + 2.0 * share * stretch) / count
+            (constants.normal_inertia + 2.0 * share * stretch) / count
                 + share * along
                 + 2.0 * constants.normal_bend * bend * mu * mu / count,
         ),
     ];
-    let in_space =
-        constants.spatial_inertia / count + along + (4.0 * 8.0 * mu + 2.0 * bend * mu * mu) / count;
+    let in_space = 1.0 / count + along + (4.0 * 8.0 * mu + 2.0 * bend * mu * mu) / count;
     for (component, eigenvalue) in eigenvalues {
         let field = field(component);
-        for (out, eigenvalue) in inverses(grid, &cloth, &axes, &field).iter().zip([in_space, eigenvalue]) {
+        let [space, sheet] = steps(grid, &cloth, &axes, &field);
+        let inverse = inverse_in_sheet(grid, &cloth, &axes, &field);
+        for (out, eigenvalue) in [(space, in_space), (sheet, eigenvalue), (inverse, eigenvalue)] {
             for (out, field) in out.iter().zip(&field) {
                 assert_near(&format!("component {component}"), out * eigenvalue, *field, 1.0, 1e-10);
             }
@@ -379,8 +419,53 @@ fn inverses_of_a_sheet_are_known_for_the_waves_of_a_flat_one() {
     }
     let mut alike = field(2);
     RestHessian::<f64>::new(grid, &cloth).apply(&mut alike);
-    let [_, normal] = inverses(grid, &cloth, &axes, &field(2));
-    assert!(dot(&normal, &normal) > 100.0 * dot(&alike, &alike));
+    let [_, normal] = steps(grid, &cloth, &axes, &field(2));
+    assert!(dot(&normal, &normal) > 50.0 * dot(&alike, &alike));
+}
+
+/// Why the step in a sheet is taken across it first and then along it: what it does to the stretch of an arch.
+#[test]
+fn a_step_across_an_arch_hardly_stretches_it() {
+    let grid = Grid { h: 24, w: 16 };
+    let (n, w) = (grid.particles(), grid.w);
+    let cloth = Cloth { handles: vec![0, w - 1], ..Cloth::default() };
+    // A roll of one turn.
+    let radius = 23.0 / std::f64::consts::TAU;
+    let mut x = State::<f64>::rest(grid, 1).x;
+    for p in 0..n {
+        let turn = (p / w) as f64 / radius;
+        (x[n + p], x[2 * n + p]) = (radius * turn.sin(), radius * turn.cos());
+    }
+    let mut axes = vec![0.0; AXES * n];
+    let marks = marks_of(grid, &cloth.handles);
+    sheet_axes((grid, &marks), (cloth.material, 0.0), &x, &vec![0.0; 3 * n], &mut axes);
+    // A push from one side, and what the stretch makes of a step.
+    let mut forces = vec![0.0; 3 * n];
+    forces[2 * n..].fill(1.0);
+    let stretched = |step: &[f64]| {
+        let edge = |first: usize, p: usize, q: usize| {
+            (0..3)
+                .map(|c| axes[(first + c) * n + p] * (step[c * n + q] - step[c * n + p]))
+                .sum::<f64>()
+                .powi(2)
+        };
+        let down: f64 = (0..n - w).map(|p| edge(10, p, p + w)).sum();
+        down + (0..n).filter(|p| p % w + 1 < w).map(|p| edge(13, p, p + 1)).sum::<f64>()
+    };
+    let [_, step] = steps(grid, &cloth, &axes, &forces);
+    // The part across alone, with the handles still.
+    let across: Vec<f64> = (0..3 * n)
+        .map(|k| {
+            let (c, p) = (k / n, k % n);
+            let normal = [0, 1, 2].map(|c| axes[(6 + c) * n + p]);
+            let length: f64 = normal.iter().map(|v| v * v).sum();
+            let along: f64 = (0..3).map(|c| normal[c] * step[c * n + p]).sum();
+            normal[c] * along / length
+        })
+        .collect();
+    let (both, alone) = (stretched(&step), stretched(&across));
+    assert!(both < 0.1 * alone, "{both} of {alone}");
+    assert!(cloth.handles.iter().all(|&p| (0..3).all(|c| step[c * n + p] == 0.0)), "handles hold");
 }
 
 /// Returns the optimizers that step in a subspace.

@@ -1,27 +1,32 @@
-//! The sheet's own axes at each particle, and how stiff it is along them.
+//! The sheet's own axes at each particle, how far forces move it along them, and its edges.
 
 use super::vector::{add, at, cross, dot, length, scaled, sub};
+use crate::cloth::terms::Elastic;
 use crate::cloth::{Grid, Mark, Material};
 use crate::cpu::Real;
-use crate::settings::{HANDLE_REACH, HANDLE_SHARE};
+use crate::settings::{ARCHING, HANDLE_REACH, HANDLE_SHARE};
 
 /// Vectors shorter than this have no direction.
 const SHORTEST: f64 = 1e-12;
 
 pub use crate::settings::AXES;
 
-/// Sets `axes` [10, H, W] to three orthogonal vectors t_1, t_2 and n per particle at the positions `x + shift`, both
-/// [3, H, W], and a factor along the axes of the world.
+/// Sets `axes` [16, H, W] to three orthogonal vectors t_1, t_2 and n per particle at the positions `x + shift`, both
+/// [3, H, W], a factor along the axes of the world, and the edges to (i+1, j) and to (i, j+1).
 ///
 /// t_1 and t_2 span the tangent plane and are closest to the directions in which i and j grow; n is their normal. A
 /// particle whose neighbours span no plane, or that the cloth doesn't have, gets the axes of the world.
 ///
-/// A vector's length says how far a force takes the particle along it, compared with a flat sheet of its material. With the mean
-/// strains e_1 and e_2 of its edges along either axis and k the coefficients of the stretch,
-/// `|t_1| = near (1 + 2 k_1 max(e_1, 0))^(-1/2) / (1 + 2 k_2 max(-e_2, 0))`, t_2 likewise, and `|n| = near`, the factor along the axes
-/// of the world. It is below 1 next to a handle, because a cosine transform does not know that handles stay where they are.
+/// A vector's length says how far a force takes the particle along it, compared with a flat sheet of its material. It is
+/// `|t_1| = |t_2| = near`, the factor along the axes of the world, which is below 1 next to a handle. A curved sheet is an arch: with
+/// the coefficients k of its stretch and the changes c_1 and c_2 from one edge to the next along either axis,
+/// `|n| = near (1 + ARCHING (k_1 c_1^2 + k_2 c_2^2))^(-1/2)`.
+///
+/// An edge's vector is its direction times the root of its stiffness, so that a displacement d adds `(edge . d)^2 / 2` to the energy.
+/// It is 0 if the cloth doesn't have the edge.
 pub fn sheet_axes<T: Real>(
-    (grid, marks, material): (Grid, &[Mark], Material),
+    (grid, marks): (Grid, &[Mark]),
+    (material, damping): (Material, f64),
     x: &[T],
     shift: &[T],
     axes: &mut [T],
@@ -29,43 +34,47 @@ pub fn sheet_axes<T: Real>(
     let (Grid { h, w }, n) = (grid, grid.particles());
     let between =
         |p: usize, q: usize| add(sub(at(x, n, q), at(x, n, p)), sub(at(shift, n, q), at(shift, n, p)));
-    let twice = material.stretches().map(|k| T::of(2.0 * k));
+    let elastic = Elastic::new(grid, material, damping);
+    let stiffnesses = [elastic.vertical, elastic.horizontal].map(|edge| 2.0 * (1.0 + damping) * edge.factor);
+    let arching = material.stretches().map(|k| T::of(ARCHING * k));
     for i in 0..h {
         for j in 0..w {
             let p = i * w + j;
             // The particle itself for a neighbour that the cloth doesn't have.
             let has = |q: usize| if marks[q].is_outside() { p } else { q };
-            let u = [has(i.saturating_sub(1) * w + j), has((i + 1).min(h - 1) * w + j)];
-            let v = [has(i * w + j.saturating_sub(1)), has(i * w + (j + 1).min(w - 1))];
-            let edges = |[before, behind]: [usize; 2]| [between(before, p), between(p, behind)];
-            let (u, v) = (edges(u), edges(v));
+            let below = has((i + 1).min(h - 1) * w + j);
+            let right = has(i * w + (j + 1).min(w - 1));
+            let u = [between(has(i.saturating_sub(1) * w + j), p), between(p, below)];
+            let v = [between(has(i * w + j.saturating_sub(1)), p), between(p, right)];
             let [one, two] = tangents(add(u[0], u[1]), add(v[0], v[1]))
                 .unwrap_or([[T::one(), T::zero(), T::zero()], [T::zero(), T::one(), T::zero()]]);
-            let forces = [twice[0] * strain(u), twice[1] * strain(v)];
             let near = T::of(1.0 - HANDLE_SHARE * nearness(grid, marks, (i, j)));
-            let lengths =
-                [(0, 1), (1, 0)].map(|(own, other)| near * length_along(forces[own], forces[other]));
-            let all = [scaled(one, lengths[0]), scaled(two, lengths[1]), scaled(cross(one, two), near)];
-            for (c, &value) in all.as_flattened().iter().enumerate() {
+            let arch = arching[0] * bend(u) + arching[1] * bend(v);
+            let across = near / (T::one() + arch).sqrt();
+            let stiff = |q: usize, stiffness: f64| {
+                let factor = 0.5 * (marks[p].stiffness() + marks[q].stiffness());
+                if marks[p].is_outside() { T::zero() } else { T::of((factor * stiffness).sqrt()) }
+            };
+            let edges = [(u[1], below, stiffnesses[0]), (v[1], right, stiffnesses[1])];
+            let edges = edges.map(|(edge, q, stiffness)| {
+                scaled(unit(edge).unwrap_or([T::zero(); 3]), stiff(q, stiffness))
+            });
+            let all = [scaled(one, near), scaled(two, near), scaled(cross(one, two), across)];
+            for (c, &value) in
+                all.as_flattened().iter().chain(&[near]).chain(edges.as_flattened()).enumerate()
+            {
                 axes[c * n + p] = value;
             }
-            axes[9 * n + p] = near;
         }
     }
 }
 
-/// Returns the mean strain of two edges, of which one or both may be missing (of length 0).
-fn strain<T: Real>(edges: [[T; 3]; 2]) -> T {
-    let lengths = edges.map(length).into_iter().filter(|&length| length > T::zero());
-    let (sum, count) = lengths.fold((T::zero(), 0.0), |(sum, count), l| (sum + l - T::one(), count + 1.0));
-    let mean = sum / T::of(f64::max(count, 1.0));
-    if mean.is_finite() { mean } else { T::zero() }
-}
-
-/// Returns the length of an axis, given `2 k e` along it and along the other one.
-fn length_along<T: Real>(own: T, other: T) -> T {
-    let (stretched, compressed) = (own.max(T::zero()), (-other).max(T::zero()));
-    ((T::one() + stretched).sqrt() * (T::one() + compressed)).recip()
+/// Returns the square of the change from one edge to the next, 0 if one is missing (of length 0), or if it is not finite.
+fn bend<T: Real>(edges: [[T; 3]; 2]) -> T {
+    let change = sub(edges[1], edges[0]);
+    let square = dot(change, change);
+    let both = edges.iter().all(|&edge| length(edge) > T::zero());
+    if both && square.is_finite() { square } else { T::zero() }
 }
 
 /// Returns `1 / (1 + d)` for the distance d [edges of the grid] of the nearest handle, 0 if there is none within

@@ -1,18 +1,16 @@
 //! The Hessian of a flat sheet's energy, inverted by a cosine transform or factored: the starting point of
 //! quasi-Newton methods.
 
+use crate::cloth::modes::{Component, SheetConstants, cosine};
 use crate::cloth::{Cloth, Grid};
 use crate::cpu::Real;
-use crate::cpu::cloth::AXES;
 use crate::cpu::matmul::{LANES, Start, Target, Term, product};
-use crate::settings::{SheetConstants, TENSION};
 use crate::{Error, Result, memory};
 use faer::linalg::solvers::Solve;
 use faer::sparse::linalg::solvers::Llt;
 use faer::sparse::{SparseColMat, Triplet};
 use faer::{MatMut, Side};
 use rayon::prelude::*;
-use std::f64::consts::PI;
 use std::sync::Arc;
 
 /// The initial inverse Hessian of a quasi-Newton method.
@@ -32,27 +30,8 @@ pub struct RestHessian<T> {
     scratch: Scratch<T>,
 }
 
-/// The inverse Hessian of a sheet that is not flat, approximately, in the axes of the world and in the sheet's own
-/// ([`sheet_axes`]). Neither serves alone: along its surface a sheet is a thousand times as stiff as across it, and its inertia is
-/// the same in all directions, however it is bent.
-///
-/// In space it is `P S C^T diag(1 / lambda) C S P`, as in [`RestHessian`] but for S, which multiplies each particle by its factor,
-/// and for a larger inertia in lambda. In the sheet it is `P A C^T diag(1 / lambda) C A^T P`, where the columns of A are the axes of
-/// each particle, and lambda differs from one to the next.
-///
-/// [`sheet_axes`]: crate::cpu::cloth::sheet_axes
-pub struct SheetHessian<T> {
-    cosines: Arc<Cosines<T>>,
-    /// 1 / lambda, shape [H, stride].
-    in_space: Vec<T>,
-    /// 1 / lambda along t_1, t_2 and the normal, each of shape [H, stride].
-    in_sheet: [Vec<T>; 3],
-    held: Vec<usize>,
-    scratch: Scratch<T>,
-}
-
 /// Two buffers per component, each of shape [H, stride].
-type Scratch<T> = [[Vec<T>; 2]; 3];
+pub(super) type Scratch<T> = [[Vec<T>; 2]; 3];
 
 /// The cosine transform of a grid, as matrix products.
 pub struct Cosines<T> {
@@ -66,60 +45,9 @@ pub struct Cosines<T> {
     columns_transposed: Vec<T>,
 }
 
-/// Returns the element in row k, column i of the orthonormal DCT-II of n points.
-fn cosine(n: usize, k: usize, i: usize) -> f64 {
-    let scale = if k == 0 { 1.0 } else { 2.0 };
-    // Reducing the argument exactly keeps long transforms accurate to the last bit.
-    let angle = PI * (k * (2 * i + 1) % (4 * n)) as f64 / (2 * n) as f64;
-    (scale / n as f64).sqrt() * angle.cos()
-}
-
-/// Returns the eigenvalue of mode k of second differences along n points.
-fn mu(n: usize, k: usize) -> f64 {
-    2.0 - 2.0 * (PI * k as f64 / n as f64).cos()
-}
-
-/// Returns the eigenvalue of mode (k, l): inertia, stretch, bend and shear of a small wave on the sheet at
-/// rest, and its contacts with bodies, as if all particles had them.
-fn eigenvalue(grid: Grid, cloth: &Cloth, (k, l): (usize, usize)) -> f64 {
-    let (Grid { h, w }, material) = (grid, cloth.material);
-    let (mu_h, mu_w) = (mu(h, k), mu(w, l));
-    let n = (h * w) as f64;
-    let ([down, across], [bend_down, bend_across]) = (material.weave.stretch, material.weave.bend);
-    let stretch = down * mu_h / ((h - 1) * w) as f64 + across * mu_w / (h * (w - 1)) as f64;
-    (1.0 + cloth.contact_curvature()) / n
-        + 2.0 * (1.0 + cloth.damping) * material.stretch * stretch
-        + 2.0 * material.bend / n * (bend_down * mu_h * mu_h + bend_across * mu_w * mu_w)
-        + 4.0 * material.shear / n * (mu_h + mu_w)
-}
-
 /// Returns the coefficients of the stretch along the height and along the width, with what the damping adds to them.
 fn damped(cloth: &Cloth) -> [f64; 2] {
     cloth.material.stretches().map(|coefficient| (1.0 + cloth.damping) * coefficient)
-}
-
-/// Returns the eigenvalues of mode (k, l) along t_1, t_2 and the normal.
-fn eigenvalues_of_axes(
-    grid: Grid,
-    (cloth, constants): (&Cloth, &SheetConstants),
-    (k, l): (usize, usize),
-) -> [f64; 3] {
-    let (Grid { h, w }, material) = (grid, cloth.material);
-    let (mu_h, mu_w) = (mu(h, k), mu(w, l));
-    let n = (h * w) as f64;
-    let ([down, across], [bend_down, bend_across]) = (damped(cloth), material.bends());
-    let (along_h, along_w) = (2.0 * down / ((h - 1) * w) as f64, 2.0 * across / (h * (w - 1)) as f64);
-    let tangential = |along: f64, own: f64, other: f64, bend: f64| {
-        let shear = 8.0 * material.shear * other / n;
-        constants.tangential_inertia / n
-            + along * (own + TENSION * other)
-            + shear
-            + 2.0 * bend * other * other / n
-    };
-    let normal = (1.0 + 2.0 * TENSION * material.stretch) / n
-        + TENSION * (along_h * mu_h + along_w * mu_w)
-        + 2.0 * constants.normal_bend * (bend_down * mu_h * mu_h + bend_across * mu_w * mu_w) / n;
-    [tangential(along_h, mu_h, mu_w, bend_across), tangential(along_w, mu_w, mu_h, bend_down), normal]
 }
 
 impl<T: Real> Cosines<T> {
@@ -136,18 +64,23 @@ impl<T: Real> Cosines<T> {
         }
     }
 
-    /// Returns the inverses of the eigenvalues of all modes, shape [H, stride].
-    fn inverses(&self, eigenvalue: &dyn Fn((usize, usize)) -> f64) -> Vec<T> {
+    /// Returns the inverses of the eigenvalues of all modes of a component, shape [H, stride].
+    pub(super) fn inverses(&self, component: Component, of: (&Cloth, &SheetConstants)) -> Vec<T> {
         let Grid { h, w } = self.grid;
-        table((h, w), self.stride, &|k, l| eigenvalue((k, l)).recip())
+        table((h, w), self.stride, &|k, l| component.eigenvalue(self.grid, of, (k, l)).recip())
     }
 
-    fn scratch(&self) -> Scratch<T> {
+    /// Returns the grid.
+    pub(super) fn grid(&self) -> Grid {
+        self.grid
+    }
+
+    pub(super) fn scratch(&self) -> Scratch<T> {
         [(); 3].map(|()| [(); 2].map(|()| vec![T::zero(); self.grid.h * self.stride]))
     }
 
     /// Transforms a field [H, W], multiplies it by `inverse` [H, stride] and transforms it back.
-    fn apply(&self, field: &mut [T], inverse: &[T], [a, b]: &mut [Vec<T>; 2]) {
+    pub(super) fn apply(&self, field: &mut [T], inverse: &[T], [a, b]: &mut [Vec<T>; 2]) {
         let Self { grid: Grid { h, w }, stride, rows, columns, columns_transposed } = self;
         let (h, w, stride) = (*h, *w, *stride);
         let along = |out: &mut [T], from: &[T], transposed: bool| {
@@ -202,9 +135,8 @@ impl<T: Real> RestHessian<T> {
 
     /// Builds the inverse Hessian of one cloth with the tables of its grid.
     pub fn with(cosines: &Arc<Cosines<T>>, cloth: &Cloth) -> Self {
-        let grid = cosines.grid;
         Self {
-            inverse: cosines.inverses(&|mode| eigenvalue(grid, cloth, mode)),
+            inverse: cosines.inverses(Component::Space, (cloth, &SheetConstants::FLAT)),
             held: cloth.held(),
             scratch: cosines.scratch(),
             cosines: cosines.clone(),
@@ -219,71 +151,6 @@ impl<T: Real> InverseHessian<T> for RestHessian<T> {
         let components = direction.par_chunks_exact_mut(cosines.grid.particles()).zip(scratch);
         components.for_each(|(component, scratch)| cosines.apply(component, inverse, scratch));
         hold(held, direction);
-    }
-}
-
-impl<T: Real> SheetHessian<T> {
-    /// Builds the inverse Hessian of one cloth with the tables of its grid.
-    pub fn new(cosines: &Arc<Cosines<T>>, cloth: &Cloth, constants: &SheetConstants) -> Self {
-        let grid = cosines.grid;
-        let more = (constants.spatial_inertia - 1.0) / grid.particles() as f64;
-        let of = (cloth, constants);
-        let inverse = |axis: usize| cosines.inverses(&|mode| eigenvalues_of_axes(grid, of, mode)[axis]);
-        Self {
-            in_space: cosines.inverses(&|mode| eigenvalue(grid, cloth, mode) + more),
-            in_sheet: [0, 1, 2].map(inverse),
-            held: cloth.held(),
-            scratch: cosines.scratch(),
-            cosines: cosines.clone(),
-        }
-    }
-
-    /// Multiplies `direction` [3, H, W] by the inverse Hessian in space, given the `axes` [10, H, W] of the sheet. The result is 0
-    /// at handles.
-    pub fn apply_in_space(&mut self, axes: &[T], direction: &mut [T]) {
-        let Self { cosines, in_space, held, scratch, .. } = self;
-        let n = cosines.grid.particles();
-        let factors = &axes[(AXES - 1) * n..];
-        let multiply = |component: &mut [T]| {
-            component.iter_mut().zip(factors).for_each(|(v, &factor)| *v = *v * factor);
-        };
-        hold(held, direction);
-        direction.par_chunks_exact_mut(n).zip(scratch).for_each(|(component, scratch)| {
-            multiply(component);
-            cosines.apply(component, in_space, scratch);
-            multiply(component);
-        });
-        hold(held, direction);
-    }
-
-    /// Multiplies `direction` [3, H, W] by the inverse Hessian in the sheet, given its `axes` [10, H, W]. The result is 0 at
-    /// handles.
-    pub fn apply_in_sheet(&mut self, axes: &[T], direction: &mut [T]) {
-        let Self { cosines, in_sheet, held, scratch, .. } = self;
-        let n = cosines.grid.particles();
-        hold(held, direction);
-        turn(axes, direction, false);
-        let components = direction.par_chunks_exact_mut(n).zip(scratch).zip(in_sheet);
-        components.for_each(|((component, scratch), inverse)| cosines.apply(component, inverse, scratch));
-        turn(axes, direction, true);
-        hold(held, direction);
-    }
-}
-
-/// Sets the vectors of a field [3, n] to their products with the three axes of each particle, or those with the transpose.
-fn turn<T: Real>(axes: &[T], field: &mut [T], back: bool) {
-    let n = field.len() / 3;
-    let (x, rest) = field.split_at_mut(n);
-    let (y, z) = rest.split_at_mut(n);
-    let axis: [&[T]; 9] = std::array::from_fn(|k| &axes[k * n..][..n]);
-    for p in 0..n {
-        let a: [T; 9] = std::array::from_fn(|k| axis[k][p]);
-        let v = [x[p], y[p], z[p]];
-        let with = |a: [T; 3]| a[0] * v[0] + a[1] * v[1] + a[2] * v[2];
-        [x[p], y[p], z[p]] = match back {
-            false => [0, 3, 6].map(|k| with([a[k], a[k + 1], a[k + 2]])),
-            true => [0, 1, 2].map(|k| with([a[k], a[k + 3], a[k + 6]])),
-        };
     }
 }
 

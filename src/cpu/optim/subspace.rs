@@ -1,12 +1,13 @@
 //! The best step among a few directions: the minimum of the energy's local quadratic model over them.
 
 use super::rest_hessian::{Cosines, hold};
-use super::{Extrapolation, SheetHessian, Update, best_start};
+use super::{Extrapolation, SheetSteps, Update, best_start};
 use crate::Result;
+use crate::cloth::modes::{Reactions, SheetConstants};
 use crate::cloth::{Cloth, Control, EnergyTerms, Model, State};
 use crate::cpu::cloth::{AXES, CurvatureRows, LocalModel, sheet_axes};
 use crate::cpu::{Objective, Real};
-use crate::settings::{LEARNED_ITERATIONS, SheetConstants};
+use crate::settings::LEARNED_ITERATIONS;
 use crate::sim::{Direction, MAX_DIRECTIONS, Optimizer, StepCounts};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -29,6 +30,8 @@ pub struct Subspace<T: Real> {
     directions: Vec<Direction>,
     network: Option<Update<T>>,
     cloths: Vec<OfCloth<T>>,
+    /// Most handles of a cloth that react.
+    room: usize,
     /// Accelerations of all cloths after a step, shape [B, 3, H, W].
     moved: Vec<T>,
     /// Norms of the gradient at a = 0 for each component of each cloth, shape [B, 3].
@@ -47,7 +50,7 @@ struct OfCloth<T> {
     extrapolation: Extrapolation<T>,
     axes: Vec<T>,
     /// If the spectral or the co-rotated direction is among them.
-    hessian: Option<SheetHessian<T>>,
+    steps_of_sheet: Option<SheetSteps<T>>,
     rows: CurvatureRows<T>,
     accepted: Accepted,
     steps: StepCounts,
@@ -74,7 +77,8 @@ impl<T: Real> Subspace<T> {
         };
         let moved = vec![T::zero(); 3 * model.batch() * model.grid.particles()];
         let norms_at_start = vec![0.0; 3 * model.batch()];
-        let mut new = Self { directions, network, cloths: Vec::new(), moved, norms_at_start };
+        let room = Reactions::room(model);
+        let mut new = Self { directions, network, cloths: Vec::new(), room, moved, norms_at_start };
         new.set_cloths(model);
         Ok(new)
     }
@@ -83,9 +87,9 @@ impl<T: Real> Subspace<T> {
     pub fn set_cloths(&mut self, model: &Model) {
         let cosines = Arc::new(Cosines::new(model.grid));
         let old = std::mem::take(&mut self.cloths);
-        let needs_hessian =
+        let needs_steps =
             self.directions.iter().any(|d| matches!(d, Direction::Spectral | Direction::CoRotated));
-        let n = model.grid.particles();
+        let (n, room) = (model.grid.particles(), self.room);
         let zeros = |fields: usize| vec![T::zero(); fields * n];
         let new = |cloth: &Cloth| {
             let held = cloth.held();
@@ -95,7 +99,8 @@ impl<T: Real> Subspace<T> {
                 earlier: zeros(3),
                 extrapolation: Extrapolation::new(model.grid, &held),
                 axes: zeros(AXES),
-                hessian: needs_hessian.then(|| SheetHessian::new(&cosines, cloth, &SheetConstants::FITTED)),
+                steps_of_sheet: needs_steps
+                    .then(|| SheetSteps::new(&cosines, (cloth, &SheetConstants::FITTED), room)),
                 rows: CurvatureRows::new(model.grid),
                 accepted: Accepted { energy: f64::INFINITY, magnitude: 0.0, slope: 0.0 },
                 steps: StepCounts::default(),
@@ -124,8 +129,8 @@ impl<T: Real> Subspace<T> {
         let starts = starts.zip(objective.trial.marks.par_chunks_exact(len / 3));
         let starts = starts.zip(&objective.model().cloths);
         self.cloths.par_iter_mut().zip(starts).for_each(|(own, (((x, shift), marks), cloth))| {
-            if own.hessian.is_some() {
-                sheet_axes((grid, marks, cloth.material), x, shift, &mut own.axes);
+            if own.steps_of_sheet.is_some() {
+                sheet_axes((grid, marks), (cloth.material, cloth.damping), x, shift, &mut own.axes);
             }
         });
         objective.confine(state, |_, _, _| ());
@@ -197,9 +202,9 @@ impl<T: Real> Subspace<T> {
                         Direction::Network(_) => p.copy_from_slice(&proposed[b * len..][..len]),
                         _ => p.iter_mut().zip(grad).for_each(|(p, &g)| *p = -g),
                     }
-                    match (kind, &mut cloth.hessian) {
-                        (Direction::Spectral, Some(hessian)) => hessian.apply_in_space(&cloth.axes, p),
-                        (Direction::CoRotated, Some(hessian)) => hessian.apply_in_sheet(&cloth.axes, p),
+                    match (kind, &mut cloth.steps_of_sheet) {
+                        (Direction::Spectral, Some(steps)) => steps.in_space(&cloth.axes, p),
+                        (Direction::CoRotated, Some(steps)) => steps.in_sheet(&cloth.axes, p),
                         _ => hold(&cloth.held, p),
                     }
                 }

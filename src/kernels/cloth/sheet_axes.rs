@@ -6,7 +6,7 @@ use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::optim::{Iterate, directions};
 use crate::kernels::{common, size};
-use crate::settings::{HANDLE_REACH, HANDLE_SHARE, WARMEST};
+use crate::settings::{ARCHING, HANDLE_REACH, HANDLE_SHARE, WARMEST};
 
 pub(crate) const SOURCE: Source = Source {
     name: "sheet_axes",
@@ -34,12 +34,16 @@ pub struct SheetAxes {
 impl SheetAxes {
     /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
-        let constants =
-            [("HANDLE_SHARE", HANDLE_SHARE), ("HANDLE_REACH", HANDLE_REACH as f64), ("WARMEST", WARMEST)];
+        let constants = [
+            ("HANDLE_SHARE", HANDLE_SHARE),
+            ("HANDLE_REACH", HANDLE_REACH as f64),
+            ("ARCHING", ARCHING),
+            ("WARMEST", WARMEST),
+        ];
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &constants)? })
     }
 
-    /// Sets `axes` [B, 10, n] from the materials of `cloths` \[B\] and the predicted positions `x + iterate.base`, moves `iterate.a` to the last
+    /// Sets `axes` [B, 16, n] from the materials of `cloths` \[B\] and the predicted positions `x + iterate.base`, moves `iterate.a` to the last
     /// step's slot of `directions` ([`directions::shape`]) and to `earlier` [B, 3, n], and sets it to 0. What it was, and `earlier` was, leaves
     /// in the spectral slot what [`Extrapolate`](crate::kernels::optim::Extrapolate) smooths.
     pub fn push(

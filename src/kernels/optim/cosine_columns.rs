@@ -1,13 +1,12 @@
 //! Host side of `shaders/optim/cosine_columns.wgsl`.
 
-use super::cosine_rows::fields_shape;
+use super::Fields;
 use crate::Result;
 use crate::cloth::Grid;
+use crate::cloth::modes::{SheetConstants, TENSION, mu};
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::cloth::ClothParams;
 use crate::kernels::{common, size};
-use crate::settings::{SheetConstants, TENSION};
-use std::f64::consts::PI;
 
 pub(crate) const SOURCE: Source = Source {
     name: "cosine_columns",
@@ -22,36 +21,37 @@ struct Params {
     columns: u32,
 }
 
-/// Transforms the columns of six fields and divides them by their eigenvalues, or transforms them back.
+/// Transforms the columns of fields and divides them by their eigenvalues, or transforms them back.
 #[derive(Clone, Debug)]
 pub struct CosineColumns {
     kernel: Kernel,
+    fields: Fields,
 }
 
 /// Returns `2 - 2 cos(pi k / n)` of the modes of the columns, then of the rows, [H + W].
 pub fn squared_frequencies(context: &Context, grid: Grid) -> Result<Tensor> {
-    // Without the cancellation in 1 - cos.
-    let mu = |n: usize, k: usize| (4.0 * (PI * k as f64 / (2 * n) as f64).sin().powi(2)) as f32;
     let Grid { h, w } = grid;
-    let values: Vec<f32> = (0..h).map(|k| mu(h, k)).chain((0..w).map(|l| mu(w, l))).collect();
+    let values: Vec<f32> =
+        (0..h).map(|k| mu(h, k)).chain((0..w).map(|l| mu(w, l))).map(|mu| mu as f32).collect();
     Tensor::from_slice(context, "squared frequencies", &[h + w], &values)
 }
 
 impl CosineColumns {
     /// Builds the kernel, of the inverse transform if `inverse`.
-    pub fn new(context: &Context, inverse: bool) -> Result<Self> {
+    pub fn new(context: &Context, fields: Fields, inverse: bool) -> Result<Self> {
         let of_sheet = SheetConstants::FITTED;
         let constants = [
             ("INVERSE", f64::from(u8::from(inverse))),
             ("TAU", TENSION),
-            ("SPATIAL", of_sheet.spatial_inertia),
+            fields.constant(),
             ("TANGENTIAL", of_sheet.tangential_inertia),
+            ("NORMAL", of_sheet.normal_inertia),
             ("BEND", of_sheet.normal_bend),
         ];
-        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &constants)? })
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &constants)?, fields })
     }
 
-    /// Sets `out` from `z`, both [B, 6, H, W], with the materials of `cloths` \[B\],
+    /// Sets `out` from `z`, both of [`Fields::shape`], with the materials of `cloths` \[B\],
     /// [`super::cosine_rows::table`] of H points and [`squared_frequencies`].
     pub fn push(
         &self,
@@ -61,11 +61,11 @@ impl CosineColumns {
         [z, out]: [&Tensor; 2],
     ) {
         let batch = z.shape()[0];
-        assert_eq!([z, out].map(Tensor::shape), [&fields_shape(batch, grid)[..]; 2]);
+        assert_eq!([z, out].map(Tensor::shape), [&self.fields.shape(batch, grid)[..]; 2]);
         assert_eq!(cloths.bytes() as usize, batch * size_of::<ClothParams>());
         assert_eq!((table.shape(), mu.len()), (&[grid.h; 2][..], grid.h + grid.w));
         let params = Params { rows: size(grid.h), columns: size(grid.w) };
-        let groups = [grid.w.div_ceil(32), grid.h.div_ceil(32), 6 * batch].map(size);
+        let groups = [grid.w.div_ceil(32), grid.h.div_ceil(32), self.fields.count() * batch].map(size);
         schedule.dispatch(&self.kernel, &params, &[cloths, table, mu, z, out], groups);
     }
 }

@@ -2,8 +2,8 @@
 //! sections 3.3 and 4.3).
 
 pub mod adam;
+pub mod cosine_back;
 pub mod cosine_columns;
-pub mod cosine_directions;
 pub mod cosine_order;
 pub mod cosine_rows;
 pub mod directions;
@@ -12,7 +12,10 @@ pub mod features;
 pub mod gradient_descent;
 pub mod lbfgs;
 mod quasi_newton;
+mod reacting;
 pub mod rest_modes;
+pub mod step_across;
+pub mod step_along;
 pub mod step_scale;
 mod subspace;
 pub mod subspace_step;
@@ -20,16 +23,19 @@ pub mod update;
 pub mod update_adj;
 
 pub use adam::Adam;
+pub use cosine_back::CosineBack;
 pub use cosine_columns::CosineColumns;
-pub use cosine_directions::CosineDirections;
 pub use cosine_order::CosineOrder;
-pub use cosine_rows::CosineRows;
+pub use cosine_rows::{CosineRows, Fields};
 pub use extrapolate::Extrapolate;
 pub use features::{FeatureInputs, Features};
 pub use gradient_descent::GradientDescent;
 pub use lbfgs::{Lbfgs, LbfgsMemory, Part};
 pub use quasi_newton::QuasiNewton;
+pub use reacting::Reacting;
 pub use rest_modes::RestModes;
+pub use step_across::StepAcross;
+pub use step_along::StepAlong;
 pub use step_scale::StepScale;
 pub use subspace::Subspace;
 pub use subspace_step::{SubspaceStep, When};

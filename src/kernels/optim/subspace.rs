@@ -1,18 +1,21 @@
 //! The plan of a subspace method: a step of a few directions, of the lengths that suit the energy best.
 
 use super::cosine_columns::squared_frequencies;
-use super::cosine_rows::{fields_shape, table};
+use super::cosine_rows::table;
 use super::subspace_step::STATE;
-use super::{CosineColumns, CosineDirections, CosineRows, Extrapolate, SubspaceStep, When, directions};
+use super::{
+    CosineBack, CosineColumns, CosineRows, Extrapolate, Fields, Iterate, Reacting, StepAcross, StepAlong,
+    SubspaceStep, When, directions,
+};
 use crate::Result;
-use crate::cloth::Grid;
+use crate::cloth::{Grid, Model};
 use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::cloth::sheet_axes::AXES;
 use crate::kernels::cloth::{Objective, SheetAxes, curvature};
 
 /// Minimises a quadratic model of the energy in the span of three or four directions: the gradient times the
-/// inverse Hessian of a flat sheet (`P C^T diag(1 / lambda) C P`, see [`super::QuasiNewton`]), the same in
-/// the sheet's own axes, where stretching is stiffer than bending, the last step, and the step of a network.
+/// inverse Hessian of a flat sheet (`P C^T diag(1 / lambda) C P`, see [`super::QuasiNewton`]), a step across the sheet with what it
+/// asks for along it, the last step, and the step of a network.
 ///
 /// A step that increases the energy is shortened, and at the end of the frame taken back.
 ///
@@ -24,19 +27,22 @@ pub struct Subspace {
     iterations: usize,
     axes_kernel: SheetAxes,
     extrapolate: Extrapolate,
-    rows: CosineRows,
-    /// Forward, inverse.
-    columns: [CosineColumns; 2],
-    directions_kernel: CosineDirections,
+    /// Of the fields in space and across the sheet, and of those along it.
+    transforms: [Transform; 2],
+    across: StepAcross,
+    along: StepAlong,
     step: SubspaceStep,
     /// Cosine matrices along a column and along a row.
     tables: [Tensor; 2],
     /// Squared frequencies, shape [H + W].
     mu: Tensor,
-    /// Axes of the sheet, shape [B, 10, n].
+    /// Axes of the sheet, shape [B, 16, n].
     axes: Tensor,
-    /// Six fields before and after a transform, shape [B, 6, H, W].
+    reacting: Reacting,
+    /// Four fields before and after a transform, shape [B, 4, H, W].
     fields: [Tensor; 2],
+    /// What a step across the sheet leaves of the gradient, shape [B, 3, n].
+    rest: Tensor,
     /// Shape [K, slot].
     directions: Tensor,
     /// Accelerations of the frame before the last one, 0 at handles; shape [B, 3, n].
@@ -47,31 +53,58 @@ pub struct Subspace {
     state: Tensor,
 }
 
+/// The inverse Hessian of some fields of a sheet, by their cosine transform.
+#[derive(Clone, Debug)]
+struct Transform {
+    fields: Fields,
+    rows: CosineRows,
+    /// Forward, inverse.
+    columns: [CosineColumns; 2],
+    back: CosineBack,
+}
+
+impl Transform {
+    fn new(context: &Context, fields: Fields) -> Result<Self> {
+        let columns = |inverse| CosineColumns::new(context, fields, inverse);
+        Ok(Self {
+            fields,
+            rows: CosineRows::new(context, fields)?,
+            columns: [columns(false)?, columns(true)?],
+            back: CosineBack::new(context, fields)?,
+        })
+    }
+}
+
 impl Subspace {
     /// Builds the kernels and tensors for frames of this many iterations of `batch` cloths on a grid, with `count`
-    /// directions: 3, or 4 with that of a network. Panics without iterations.
+    /// directions: 3, or 4 with that of a network; at most `room` handles of a cloth react to them. Panics without iterations.
     pub fn new(
         context: &Context,
-        count: usize,
+        (count, room): (usize, usize),
         iterations: usize,
         (grid, batch): (Grid, usize),
     ) -> Result<Self> {
         assert!(iterations > 0, "a frame has iterations");
         let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);
-        let fields = || zeros("subspace.fields", &fields_shape(batch, grid));
+        let fields = || zeros("subspace.fields", &Fields::SpaceAndNormal.shape(batch, grid));
         Ok(Self {
             grid,
             iterations,
             axes_kernel: SheetAxes::new(context)?,
             extrapolate: Extrapolate::new(context)?,
-            rows: CosineRows::new(context)?,
-            columns: [CosineColumns::new(context, false)?, CosineColumns::new(context, true)?],
-            directions_kernel: CosineDirections::new(context)?,
+            transforms: [
+                Transform::new(context, Fields::SpaceAndNormal)?,
+                Transform::new(context, Fields::Tangents)?,
+            ],
+            across: StepAcross::new(context)?,
+            along: StepAlong::new(context)?,
             step: SubspaceStep::new(context)?,
             tables: [table(context, grid.h)?, table(context, grid.w)?],
             mu: squared_frequencies(context, grid)?,
             axes: zeros("subspace.axes", &[batch, AXES, grid.particles()])?,
+            reacting: Reacting::new(context, room, (grid, batch))?,
             fields: [fields()?, fields()?],
+            rest: zeros("subspace.rest", &[batch, 3, grid.particles()])?,
             directions: zeros("subspace.directions", &directions::shape(count, batch, grid))?,
             earlier: zeros("subspace.earlier", &[batch, 3, grid.particles()])?,
             parts: zeros("subspace.parts", &curvature::parts_shape(batch, grid))?,
@@ -99,22 +132,47 @@ impl Subspace {
         objective.confine(schedule, Some(&self.directions));
     }
 
-    /// Moves the iterate, which was evaluated, by the step of `iteration`, counted from 0. Six dispatches, and
+    /// Takes the handles and materials of the cloths, from the next submission on.
+    pub fn set_cloths(&self, context: &Context, model: &Model) {
+        self.reacting.write(context, model);
+    }
+
+    /// Moves the iterate, which was evaluated, by the step of `iteration`, counted from 0. Twelve dispatches, and
     /// another with a repulsion, and two with bodies.
     pub fn push(&self, schedule: &mut Schedule, objective: &Objective, iteration: usize) {
         assert!(iteration < self.iterations, "iteration {iteration} of {}", self.iterations);
         let (grid, iterate) = (objective.grid(), &objective.iterate);
-        let Self { axes, directions, mu, .. } = self;
-        let ([along_column, along_row], [z, other]) = (&self.tables, &self.fields);
-        let [forward, inverse] = &self.columns;
-        let of_columns = (objective.cloths(), along_column, mu);
-        self.rows.push(schedule, grid, (iterate, axes, along_row), z);
-        forward.push(schedule, grid, of_columns, [z, other]);
-        inverse.push(schedule, grid, of_columns, [other, z]);
-        self.directions_kernel.push(schedule, grid, (iterate, axes, along_row), [z, directions]);
+        let Self { axes, directions, reacting, rest, .. } = self;
+        let [space_and_normal, tangents] = &self.transforms;
+        let of_sheet = (iterate, axes, reacting);
+        let y = self.transform(schedule, objective, space_and_normal, &iterate.grad);
+        self.across.push(schedule, grid, of_sheet, &y, [directions, rest]);
+        let y = self.transform(schedule, objective, tangents, rest);
+        self.along.push(schedule, grid, of_sheet, [&y, directions]);
         objective.local_model(schedule, directions, &self.parts);
         self.decide(schedule, objective, When::Iteration(iteration));
         objective.confine(schedule, Some(&self.directions));
+    }
+
+    /// Multiplies fields of the `forces` [B, 3, n] by their inverse Hessian, and returns where they are. Four dispatches.
+    fn transform(
+        &self,
+        schedule: &mut Schedule,
+        objective: &Objective,
+        of: &Transform,
+        forces: &Tensor,
+    ) -> Tensor {
+        let (grid, iterate): (Grid, &Iterate) = (objective.grid(), &objective.iterate);
+        let Transform { fields, rows, columns: [forward, inverse], back } = of;
+        let [along_column, along_row] = &self.tables;
+        let shape = fields.shape(self.axes.shape()[0], grid);
+        let [z, other] = self.fields.each_ref().map(|tensor| tensor.view(0, &shape));
+        let of_columns = (objective.cloths(), along_column, &self.mu);
+        rows.push(schedule, grid, (iterate, forces), (&self.axes, along_row), &z);
+        forward.push(schedule, grid, of_columns, [&z, &other]);
+        inverse.push(schedule, grid, of_columns, [&other, &z]);
+        back.push(schedule, grid, along_row, [&z, &other]);
+        other
     }
 
     /// Ends a frame: takes the last step back if it has increased the energy. Two dispatches, without a repulsion.

@@ -2,11 +2,11 @@
 
 use super::cloth::{constants, crumpled, field, iterate, model, upload};
 use crate::common::{assert_close, cases, context, device, poisoned, read, run};
-use fnopt::cloth::Model;
+use fnopt::cloth::{Cloth, Model};
 use fnopt::kernels::cloth::SheetAxes;
 use fnopt::kernels::cloth::sheet_axes::AXES;
 use fnopt::kernels::optim::directions;
-use fnopt::settings::{HANDLE_REACH, HANDLE_SHARE, WARMEST};
+use fnopt::settings::{ARCHING, HANDLE_REACH, HANDLE_SHARE, WARMEST};
 
 type Vector = [f64; 3];
 
@@ -60,13 +60,12 @@ fn axes(around: &Around) -> Option<[Vector; 2]> {
     Some(if along_u[0] >= along_u[1] { both } else { [both[1], both[0]] })
 }
 
-/// Returns the mean strain of the edges to both neighbours, as far as the cloth has them.
-fn strain(here: Vector, neighbours: [Vector; 2]) -> f64 {
-    let length = |v: Vector| v.iter().map(|v| v * v).sum::<f64>().sqrt();
-    let all = neighbours.map(|at| length(sum(at, here, -1.0))).into_iter().filter(|&length| length > 0.0);
-    let strains: Vec<f64> = all.map(|length| length - 1.0).collect();
-    let mean = strains.iter().sum::<f64>() / strains.len().max(1) as f64;
-    if mean.is_finite() { mean } else { 0.0 }
+/// Returns the square of the change from one edge to the next, 0 without both.
+fn bend(here: Vector, [before, behind]: [Vector; 2]) -> f64 {
+    let square = |v: Vector| v.iter().map(|v| v * v).sum::<f64>();
+    let edges = [sum(here, before, -1.0), sum(behind, here, -1.0)];
+    let change = square(sum(edges[1], edges[0], -1.0));
+    if edges.iter().all(|&edge| square(edge) > 0.0) && change.is_finite() { change } else { 0.0 }
 }
 
 /// Returns what handles leave of a step at particle p.
@@ -78,24 +77,38 @@ fn near(model: &Model, b: usize, p: usize) -> f64 {
     distances.map(|d| 1.0 - HANDLE_SHARE / (1.0 + d)).fold(1.0, f64::min)
 }
 
-/// Returns the axes and the factor of all particles, [B, 10, n].
+/// Returns the axes, the factor and the edges of all particles, [B, 16, n].
 fn all_axes(model: &Model, x: &[f32], base: &[f32]) -> Vec<f64> {
     let (grid, n) = (model.grid, model.grid.particles());
     let mut expected = vec![0.0; model.batch() * AXES * n];
     let y: Vec<f64> = x.iter().zip(base).map(|(&x, &base)| f64::from(x) + f64::from(base)).collect();
+    let marks = model.marks();
     for (b, (y, expected)) in y.chunks_exact(3 * n).zip(expected.chunks_exact_mut(AXES * n)).enumerate() {
-        let stretches = model.cloths[b].material.stretches();
+        let Cloth { material, damping, .. } = model.cloths[b];
+        let (stretches, h, w) = (material.stretches(), grid.h as f64, grid.w as f64);
+        let stiffness = |q: usize| match marks[b * n + q].is_outside() {
+            true => 0.0,
+            false => marks[b * n + q].stiffness(),
+        };
         for p in 0..n {
             let around = around(model, (b, y), (p / grid.w, p % grid.w));
             let [one, two] = axes(&around).unwrap_or([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]);
-            let strains = [strain(around.here, around.along_u), strain(around.here, around.along_v)];
-            let [u, v] = [0, 1].map(|axis| 2.0 * stretches[axis] * strains[axis]);
             let near = near(model, b, p);
-            let along = |own: f64, other: f64| near / ((1.0 + own.max(0.0)).sqrt() * (1.0 - other.min(0.0)));
-            let [l1, l2] = [along(u, v), along(v, u)];
-            let all = [one.map(|t| t * l1), two.map(|t| t * l2), cross(one, two).map(|t| t * near)];
-            all.as_flattened().iter().enumerate().for_each(|(c, &t)| expected[c * n + p] = t);
-            expected[(AXES - 1) * n + p] = near;
+            let bends = [bend(around.here, around.along_u), bend(around.here, around.along_v)];
+            let arch = ARCHING * (stretches[0] * bends[0] + stretches[1] * bends[1]);
+            let across = near / (1.0 + arch).sqrt();
+            let all = [one.map(|t| t * near), two.map(|t| t * near), cross(one, two).map(|t| t * across)];
+            let edge = |to: Vector, q: usize, each: f64| match unit(sum(to, around.here, -1.0)) {
+                Some(edge) if stiffness(p) > 0.0 && stiffness(q) > 0.0 => {
+                    let factor = 0.5 * (stiffness(p) + stiffness(q));
+                    edge.map(|e| e * (2.0 * (1.0 + damping) * factor * each).sqrt())
+                }
+                _ => [0.0; 3],
+            };
+            let down = edge(around.along_u[1], (p + grid.w).min(n - 1), stretches[0] / ((h - 1.0) * w));
+            let right = edge(around.along_v[1], (p + 1).min(n - 1), stretches[1] / (h * (w - 1.0)));
+            let numbers = [all.as_flattened(), &[near], &down, &right].concat();
+            numbers.into_iter().enumerate().for_each(|(c, t)| expected[c * n + p] = t);
         }
     }
     expected
@@ -131,12 +144,12 @@ fn axes_match_and_the_last_accelerations_become_directions() {
             let to = [&found, &all, &earlier];
             run(|schedule| kernel.push(schedule, grid, (&cloths, &iterate, &start), to));
             let what = format!("axes {amplitude} {degenerate} {batch} x {grid}");
-            // A rounding of the edges, over the sine between them; the tangential ones are as long as `2 k` times a strain says,
-            // which has the rounding of a length near 1.
+            // A rounding of the edges, over the sine between them. The changes from edge to edge count more than the edges themselves:
+            // the normal's length has their rounding times ARCHING k.
             let (found, expected) = (read(&found), all_axes(&model, &x, &base));
             let stretches = model.cloths.iter().flat_map(|cloth| cloth.material.stretches());
-            let tangential = 5e-6 + 2.0 * f64::from(f32::EPSILON) * stretches.fold(0.0, f64::max);
-            for (planes, tolerance) in [(0..6, tangential), (6..AXES, 5e-6)] {
+            let arching = 5e-6 + 2.0 * f64::from(f32::EPSILON) * ARCHING * stretches.fold(0.0, f64::max);
+            for (planes, tolerance) in [(0..6, 5e-6), (6..9, arching), (9..AXES, 5e-6)] {
                 let taken = |k: &usize| planes.contains(&(k / n % AXES));
                 let of_both = (0..expected.len()).filter(taken).map(|k| (found[k], expected[k]));
                 let (found, expected): (Vec<f32>, Vec<f64>) = of_both.unzip();

@@ -303,7 +303,7 @@ fn frames_lower_the_energy() {
         };
         let frame = |order: Order| {
             let context = context().with_order(order);
-            let plan = Subspace::new(&context, count, ITERATIONS, (grid, batch)).unwrap();
+            let plan = Subspace::new(&context, (count, 1), ITERATIONS, (grid, batch)).unwrap();
             assert_eq!(plan.learned_step().is_some(), repels);
             plan.learned_step().inspect(|step| step.write(&context, &learned));
             let objective = Objective::new(&context, grid, batch, room).unwrap();
@@ -321,7 +321,7 @@ fn frames_lower_the_energy() {
                     objective.evaluate(schedule, &sums);
                     let before = schedule.dispatches();
                     plan.push(schedule, &objective, iteration);
-                    assert_eq!(schedule.dispatches(), before + 6 + usize::from(repels));
+                    assert_eq!(schedule.dispatches(), before + 12 + usize::from(repels));
                 }
                 plan.end(schedule, &objective);
             });

@@ -1,0 +1,84 @@
+// Inverse cosine transform along the rows of four fields, or two.
+//
+// out[f, i, j] = sum_l table[l, j] z[f, i, l]
+//
+// table: [W, W], the orthonormal DCT-II
+// z, out: [B, FIELDS, H, W]
+//
+// One invocation per four columns of a row, all fields. Workgroups: (W / 32, H / 8, B).
+// Adjoint: none, the optimizer is not trained.
+
+struct Params {
+    rows: u32, // H
+    columns: u32, // W
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> table: array<f32>;
+@group(0) @binding(2) var<storage, read> z: array<f32>;
+@group(0) @binding(3) var<storage, read_write> out: array<f32>;
+
+// Stores the fields of a mode, 0 if there is none.
+fn load_mode(b: u32, i: u32, l: u32, place: u32) {
+    let n = params.rows * params.columns;
+    var of_mode = vec4f();
+    if i < params.rows && l < params.columns {
+        let at = b * FIELDS * n + i * params.columns + l;
+        of_mode.x = z[at];
+        of_mode.y = z[at + n];
+        if FIELDS > 2u {
+            of_mode.z = z[at + 2u * n];
+            of_mode.w = z[at + 3u * n];
+        }
+    }
+    fields[place] = of_mode;
+}
+
+// Returns element (l, j) of the table, 0 outside of it.
+fn cosine(l: u32, j: u32) -> f32 {
+    if l < params.columns && j < params.columns {
+        return table[l * params.columns + j];
+    }
+    return 0.0;
+}
+
+// Writes the columns of a quad that exist.
+fn keep(at: u32, v: vec4f, columns: u32) {
+    if columns > 0u { out[at] = v.x; }
+    if columns > 1u { out[at + 1u] = v.y; }
+    if columns > 2u { out[at + 2u] = v.z; }
+    if columns > 3u { out[at + 3u] = v.w; }
+}
+
+@compute @workgroup_size(64)
+fn cosine_back(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3u) {
+    let b = group.z;
+    let first_row = group.y * 8u;
+    let first_column = group.x * 32u;
+    for (var first = 0u; first < params.columns; first += DEPTH) {
+        workgroupBarrier();
+        // Neighbouring invocations read neighbouring elements of z and of the table.
+        for (var k = lane; k < 8u * DEPTH; k += 64u) {
+            load_mode(b, first_row + k / DEPTH, first + k % DEPTH, k % DEPTH * STRIDE + k / DEPTH);
+            let l = first + k / 8u;
+            let j = first_column + 4u * (k % 8u);
+            factors[k / 8u * STRIDE + k % 8u] =
+                vec4f(cosine(l, j), cosine(l, j + 1u), cosine(l, j + 2u), cosine(l, j + 3u));
+        }
+        workgroupBarrier();
+        add_products(lane / 8u, lane % 8u);
+    }
+    let i = first_row + lane / 8u;
+    let j = first_column + 4u * (lane % 8u);
+    if i < params.rows && j < params.columns {
+        let n = params.rows * params.columns;
+        let at = b * FIELDS * n + i * params.columns + j;
+        let columns = params.columns - j;
+        keep(at, sum0, columns);
+        keep(at + n, sum1, columns);
+        if FIELDS > 2u {
+            keep(at + 2u * n, sum2, columns);
+            keep(at + 3u * n, sum3, columns);
+        }
+    }
+}

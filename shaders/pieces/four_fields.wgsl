@@ -1,0 +1,35 @@
+// A product of four fields, or two, with a matrix, in tiles of 8 rows of particles by 32 columns of the result. An
+// invocation computes four columns of one row, for all fields: each number that it reads from workgroup
+// memory then enters several products.
+
+// 4, or 2: then the other two are neither read nor written.
+override FIELDS: u32 = 4;
+
+// Particles of a row, and rows of the matrix, that are multiplied at once.
+const DEPTH: u32 = 16u;
+// Both are stored by depth. One more than needed, so that neighbours in depth are in different banks.
+const STRIDE: u32 = 9u;
+// The fields of the particles.
+var<workgroup> fields: array<vec4f, DEPTH * STRIDE>;
+// Four columns of a row of the matrix.
+var<workgroup> factors: array<vec4f, DEPTH * STRIDE>;
+
+// Four columns of the result for each field.
+var<private> sum0: vec4f;
+var<private> sum1: vec4f;
+var<private> sum2: vec4f;
+var<private> sum3: vec4f;
+
+// Adds the products over the stored depth, for this row of the tile and this quad of its columns.
+fn add_products(row: u32, quad: u32) {
+    for (var k = 0u; k < DEPTH; k++) {
+        let factor = factors[k * STRIDE + quad];
+        let of_row = fields[k * STRIDE + row];
+        sum0 += of_row.x * factor;
+        sum1 += of_row.y * factor;
+        if FIELDS > 2u {
+            sum2 += of_row.z * factor;
+            sum3 += of_row.w * factor;
+        }
+    }
+}

@@ -1,0 +1,56 @@
+//! Host side of `shaders/optim/step_along.wgsl`.
+
+use super::{Fields, Iterate, Reacting, directions};
+use crate::Result;
+use crate::cloth::Grid;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::cloth::sheet_axes::AXES;
+use crate::kernels::{common, size};
+
+pub(crate) const SOURCE: Source = Source {
+    name: "step_along",
+    wgsl: include_str!("../../../shaders/optim/step_along.wgsl"),
+    appended: &[common::MARK],
+};
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    particles: u32,
+    slot: u32,
+    room: u32,
+}
+
+/// Adds the step along the sheet to the one across it.
+#[derive(Clone, Debug)]
+pub struct StepAlong {
+    kernel: Kernel,
+}
+
+impl StepAlong {
+    /// Builds the kernel.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// Ends the co-rotated slot of `directions` ([`directions::shape`]) with `y` ([`Fields::Tangents`]) and the `axes` [B, 16, n] of
+    /// the sheet.
+    pub fn push(
+        &self,
+        schedule: &mut Schedule,
+        grid: Grid,
+        (iterate, axes, reacting): (&Iterate, &Tensor, &Reacting),
+        [y, directions]: [&Tensor; 2],
+    ) {
+        let (samples, n) = iterate.samples_and_particles();
+        let batch = samples / 3;
+        assert_eq!((n, axes.shape()), (grid.particles(), &[batch, AXES, n][..]));
+        assert_eq!(y.shape(), Fields::Tangents.shape(batch, grid));
+        let room = reacting.room(batch, n);
+        let slot = directions::slot(directions, iterate);
+        let params = Params { particles: size(n), slot: size(slot), room: size(room) };
+        let Reacting { handles, fields } = reacting;
+        let tensors = [&iterate.marks, axes, y, handles, fields, directions];
+        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, batch));
+    }
+}

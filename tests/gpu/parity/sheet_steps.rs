@@ -1,0 +1,223 @@
+//! The transforms and steps of a sheet together (`cosine_rows`, `cosine_columns`, `cosine_back`, `step_across` and `step_along`)
+//! against the CPU path in double precision, and against dense sums.
+
+use super::cloth::{constants, field, iterate, model};
+use crate::common::{assert_close, cases, context, device, largest, noise, poisoned, read, run, tensor};
+use fnopt::cloth::modes::{Component, Reactions, SheetConstants};
+use fnopt::cloth::{Grid, Model};
+use fnopt::cpu::optim::{Cosines, SheetSteps};
+use fnopt::kernels::cloth::sheet_axes::AXES;
+use fnopt::kernels::optim::cosine_columns::squared_frequencies;
+use fnopt::kernels::optim::cosine_rows::table;
+use fnopt::kernels::optim::{
+    CosineBack, CosineColumns, CosineRows, Fields, Reacting, StepAcross, StepAlong, directions,
+};
+use std::f64::consts::PI;
+use std::sync::Arc;
+
+/// Returns the orthonormal DCT-II of n points, row by row.
+fn cosines(n: usize) -> Vec<f64> {
+    let of = |k: usize, i: usize| {
+        let scale = if k == 0 { 1.0 } else { 2.0 };
+        (scale / n as f64).sqrt() * (PI * k as f64 * (2 * i + 1) as f64 / (2 * n) as f64).cos()
+    };
+    (0..n * n).map(|at| of(at / n, at % n)).collect()
+}
+
+/// Returns the product of matrices [rows, depth] and [depth, columns].
+fn product(a: &[f64], b: &[f64], (depth, columns): (usize, usize)) -> Vec<f64> {
+    let row = |a: &[f64]| {
+        let mut row = vec![0.0; columns];
+        for (&a, b) in a.iter().zip(b.chunks_exact(columns)) {
+            row.iter_mut().zip(b).for_each(|(to, &b)| *to += a * b);
+        }
+        row
+    };
+    a.chunks_exact(depth).flat_map(row).collect()
+}
+
+fn transposed(a: &[f64], columns: usize) -> Vec<f64> {
+    (0..columns).flat_map(|c| a[c..].iter().step_by(columns).copied()).collect()
+}
+
+/// Multiplies a field by the inverse Hessian of a component, in cosine space.
+fn inverse(grid: Grid, model: &Model, b: usize, component: Component, values: &[f64]) -> Vec<f64> {
+    let Grid { h, w } = grid;
+    let of = (&model.cloths[b], &SheetConstants::FITTED);
+    let (along, across) = (cosines(h), cosines(w));
+    let z = product(&along, &product(values, &transposed(&across, w), (w, w)), (h, w));
+    let divided = z.iter().enumerate().map(|(at, z)| z / component.eigenvalue(grid, of, (at / w, at % w)));
+    product(&transposed(&along, h), &product(&divided.collect::<Vec<_>>(), &across, (w, w)), (h, w))
+}
+
+/// Returns the fields of a cloth whose transform is taken, given the forces [3, n] and its axes [16, n].
+fn fields_of(fields: Fields, marks: &[bool], forces: &[f32], axes: &[f32]) -> Vec<Vec<f64>> {
+    let n = marks.len();
+    let weights = |field: usize, p: usize| {
+        let at = |c: usize| f64::from(axes[c * n + p]);
+        match (fields, field) {
+            (Fields::SpaceAndNormal, 3) => [0, 1, 2].map(|c| at(6 + c)),
+            (Fields::SpaceAndNormal, _) => [0, 1, 2].map(|c| if c == field { at(9) } else { 0.0 }),
+            (Fields::Tangents, _) => [0, 1, 2].map(|c| at(3 * field + c)),
+        }
+    };
+    let value = |field: usize, p: usize| {
+        (0..3).map(|c| weights(field, p)[c] * f64::from(forces[c * n + p])).sum::<f64>()
+    };
+    let of = |field: usize| (0..n).map(|p| if marks[p] { value(field, p) } else { 0.0 }).collect();
+    (0..fields.count()).map(of).collect()
+}
+
+/// Sides of all parities, shorter and longer than the tiles.
+fn grids() -> impl Iterator<Item = (Grid, usize)> {
+    cases().chain([(9, 31), (70, 8), (33, 65)].map(|(h, w)| (Grid { h, w }, 2)))
+}
+
+/// What the transforms of a batch need.
+struct Given {
+    model: Model,
+    grad: Vec<f32>,
+    axes: Vec<f32>,
+}
+
+impl Given {
+    /// Three vectors, a factor and two edges for each particle, whatever they are.
+    fn new(grid: Grid, batch: usize) -> Self {
+        let model = model(grid, batch);
+        let grad = field(&model, 1.0, 122);
+        Self { grad, axes: noise(AXES * batch * grid.particles(), 131), model }
+    }
+
+    fn free(&self, b: usize) -> Vec<bool> {
+        let n = self.model.grid.particles();
+        self.model.marks()[b * n..][..n].iter().map(|mark| mark.is_free()).collect()
+    }
+}
+
+#[test]
+fn transforms_match_dense_sums() {
+    let _turn = device();
+    for fields in [Fields::SpaceAndNormal, Fields::Tangents] {
+        let rows = CosineRows::new(context(), fields).unwrap();
+        let [forward, inversely] = [false, true].map(|i| CosineColumns::new(context(), fields, i).unwrap());
+        let back = CosineBack::new(context(), fields).unwrap();
+        for (grid, batch) in grids() {
+            let given = Given::new(grid, batch);
+            let n = grid.particles();
+            let iterate = iterate(&given.model);
+            let forces = tensor("forces", &[batch, 3, n], &given.grad);
+            let axes = tensor("axes", &[batch, AXES, n], &given.axes);
+            let [along_column, along_row] = [grid.h, grid.w].map(|n| table(context(), n).unwrap());
+            let (mu, cloths) = (squared_frequencies(context(), grid).unwrap(), constants(&given.model));
+            let [z, other] = [(); 2].map(|()| poisoned("fields", &fields.shape(batch, grid)));
+            run(|schedule| {
+                rows.push(schedule, grid, (&iterate, &forces), (&axes, &along_row), &z);
+                forward.push(schedule, grid, (&cloths, &along_column, &mu), [&z, &other]);
+                inversely.push(schedule, grid, (&cloths, &along_column, &mu), [&other, &z]);
+                back.push(schedule, grid, &along_row, [&z, &other]);
+            });
+            let components = match fields {
+                Fields::SpaceAndNormal => {
+                    &[Component::Space, Component::Space, Component::Space, Component::Normal][..]
+                }
+                Fields::Tangents => &[Component::FirstTangent, Component::SecondTangent],
+            };
+            let found = read(&other);
+            for b in 0..batch {
+                let own = (&given.grad[3 * b * n..][..3 * n], &given.axes[AXES * b * n..][..AXES * n]);
+                let values = fields_of(fields, &given.free(b), own.0, own.1);
+                for (f, (values, &component)) in values.iter().zip(components).enumerate() {
+                    let exact = inverse(grid, &given.model, b, component, values);
+                    let found = &found[(b * fields.count() + f) * n..][..n];
+                    // Low modes are much larger than the others, so that every element has their rounding.
+                    let what = format!("{component:?} of cloth {b} of {batch} x {grid}");
+                    assert_close(&what, found, &exact, (3e-6 * largest(&exact), 0.0));
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn steps_match() {
+    let _turn = device();
+    let [space_and_normal, tangents] = [Fields::SpaceAndNormal, Fields::Tangents];
+    let rows = [space_and_normal, tangents].map(|fields| CosineRows::new(context(), fields).unwrap());
+    let columns = [space_and_normal, tangents]
+        .map(|fields| [false, true].map(|i| CosineColumns::new(context(), fields, i).unwrap()));
+    let back = [space_and_normal, tangents].map(|fields| CosineBack::new(context(), fields).unwrap());
+    let (across, along) = (StepAcross::new(context()).unwrap(), StepAlong::new(context()).unwrap());
+    for (grid, batch) in grids() {
+        let given = Given::new(grid, batch);
+        let (model, n) = (&given.model, grid.particles());
+        let iterate = iterate(model);
+        iterate.grad.write(context(), &given.grad);
+        let axes = tensor("axes", &[batch, AXES, n], &given.axes);
+        let [along_column, along_row] = [grid.h, grid.w].map(|n| table(context(), n).unwrap());
+        let (mu, cloths) = (squared_frequencies(context(), grid).unwrap(), constants(model));
+        let room = Reactions::room(model);
+        let reacting = Reacting::new(context(), room, (grid, batch)).unwrap();
+        reacting.write(context(), model);
+        let all = poisoned("directions", &directions::shape(3, batch, grid));
+        let rest = poisoned("rest", &[batch, 3, n]);
+        let of_columns = (&cloths, &along_column, &mu);
+        let of_sheet = (&iterate, &axes, &reacting);
+        run(|schedule| {
+            for (which, fields) in [space_and_normal, tangents].into_iter().enumerate() {
+                let [z, other] = [(); 2].map(|()| poisoned("fields", &fields.shape(batch, grid)));
+                let forces = [&iterate.grad, &rest][which];
+                rows[which].push(schedule, grid, (&iterate, forces), (&axes, &along_row), &z);
+                columns[which][0].push(schedule, grid, of_columns, [&z, &other]);
+                columns[which][1].push(schedule, grid, of_columns, [&other, &z]);
+                back[which].push(schedule, grid, &along_row, [&z, &other]);
+                match fields {
+                    Fields::SpaceAndNormal => {
+                        across.push(schedule, grid, of_sheet, &other, [&all, &rest]);
+                    }
+                    Fields::Tangents => along.push(schedule, grid, of_sheet, [&other, &all]),
+                }
+            }
+        });
+        let (mut spectral, mut rotated) = (vec![], vec![]);
+        let mut unheld = [0.0_f64; 2];
+        let cosines = Arc::new(Cosines::<f64>::new(grid));
+        for (b, cloth) in model.cloths.iter().enumerate() {
+            let of = |values: &[f32]| values.iter().map(|&v| f64::from(v)).collect::<Vec<_>>();
+            let axes = of(&given.axes[AXES * b * n..][..AXES * n]);
+            // An edge past the border is none.
+            let axes: Vec<f64> = axes
+                .iter()
+                .enumerate()
+                .map(|(k, &v)| match (k / n, k % n) {
+                    (10..13, p) if p / grid.w == grid.h - 1 => 0.0,
+                    (13..16, p) if p % grid.w == grid.w - 1 => 0.0,
+                    _ => v,
+                })
+                .collect();
+            let forces: Vec<f64> = of(&given.grad[3 * b * n..][..3 * n]).iter().map(|g| -g).collect();
+            let mut steps = SheetSteps::new(&cosines, (cloth, &SheetConstants::FITTED), room);
+            let both = |steps: &mut SheetSteps<f64>| {
+                let (mut in_space, mut in_sheet) = (forces.clone(), forces.clone());
+                steps.in_space(&axes, &mut in_space);
+                steps.in_sheet(&axes, &mut in_sheet);
+                [in_space, in_sheet]
+            };
+            let [in_space, in_sheet] = both(&mut steps);
+            spectral.extend(in_space);
+            rotated.extend(in_sheet);
+            let mut alone = SheetSteps::new(&cosines, (cloth, &SheetConstants::FITTED), 0);
+            for (most, step) in unheld.iter_mut().zip(both(&mut alone)) {
+                *most = most.max(largest(&step));
+            }
+        }
+        for (slot, exact) in [(directions::SPECTRAL, spectral), (directions::ROTATED, rotated)] {
+            let found = read(&directions::one(&all, slot, batch, grid));
+            // Low modes are much larger than the others, so that every element has their rounding, also where handles take them back.
+            let scale = largest(&exact).max(unheld[slot]);
+            let what = format!("direction {slot} of {batch} x {grid}");
+            assert_close(&what, &found, &exact, (5e-6 * scale, 0.0));
+        }
+        let last = read(&directions::one(&all, directions::LAST_STEP, batch, grid));
+        assert!(last.iter().all(|v| v.is_nan()), "the last step is not written");
+    }
+}
