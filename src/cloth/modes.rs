@@ -112,17 +112,16 @@ pub struct Reactions {
 }
 
 impl Reactions {
-    /// Returns the number of handles of a cloth that react with a solver that is built for `model`: as many as a cloth has there, 1 to
-    /// [`MAX_REACTIONS`].
-    pub fn room(model: &Model) -> usize {
+    /// Returns the largest number of handles that react in one of these cloths, at least 1.
+    pub fn most(model: &Model) -> usize {
         let most = model.cloths.iter().map(|cloth| cloth.handles.len()).max().unwrap_or(0);
         most.clamp(1, MAX_REACTIONS)
     }
 
-    /// Computes the reactions of a cloth's handles. If there are more than `room`, as many react, evenly spread over their order.
-    pub fn new(grid: Grid, (cloth, constants): (&Cloth, &SheetConstants), room: usize) -> Self {
+    /// Computes the reactions of a cloth's handles. Of more than [`MAX_REACTIONS`], as many react, evenly spread over their order.
+    pub fn new(grid: Grid, cloth: &Cloth, constants: &SheetConstants) -> Self {
         let n = grid.particles();
-        let count = cloth.handles.len().min(room);
+        let count = cloth.handles.len().min(MAX_REACTIONS);
         let handles: Vec<usize> =
             (0..count).map(|k| cloth.handles[k * cloth.handles.len() / count]).collect();
         let mut fields = vec![0.0; count * 4 * n];
@@ -205,7 +204,7 @@ mod tests {
         let grid = Grid { h: 11, w: 14 };
         let n = grid.particles();
         let cloth = Cloth { handles: vec![0, 13, 75, 76], ..Cloth::default() };
-        let reactions = Reactions::new(grid, (&cloth, &SheetConstants::FITTED), MAX_REACTIONS);
+        let reactions = Reactions::new(grid, &cloth, &SheetConstants::FITTED);
         assert_eq!(reactions.handles, cloth.handles);
         let tables = [grid.h, grid.w].map(table);
         let force: Vec<f64> = (0..n).map(|p| ((p * p + 3) % 17) as f64 - 8.0).collect();
@@ -247,8 +246,8 @@ mod tests {
     fn reactions_of_many_handles_are_spread() {
         let grid = Grid { h: 9, w: 32 };
         let cloth = Cloth { handles: (0..32).collect(), ..Cloth::default() };
-        let reactions = Reactions::new(grid, (&cloth, &SheetConstants::FITTED), MAX_REACTIONS);
+        let reactions = Reactions::new(grid, &cloth, &SheetConstants::FITTED);
         assert_eq!(reactions.handles, [0, 4, 8, 12, 16, 20, 24, 28]);
-        assert!(Reactions::new(grid, (&Cloth::default(), &SheetConstants::FITTED), 8).fields.is_empty());
+        assert!(Reactions::new(grid, &Cloth::default(), &SheetConstants::FITTED).fields.is_empty());
     }
 }

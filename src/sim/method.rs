@@ -81,7 +81,7 @@ impl Method {
             };
             let count = optimizer.directions.len();
             let plan =
-                Box::new(Subspace::new(context, (count, Reactions::room(model)), iterations, (grid, batch))?);
+                Box::new(Subspace::new(context, (count, Reactions::most(model)), iterations, (grid, batch))?);
             return Ok(Self::Subspace { plan, network, step_scale: StepScale::new(context)? });
         }
         let [direction] = &optimizer.directions[..] else { return refused() };
@@ -143,6 +143,18 @@ impl Method {
         match self {
             Self::Subspace { plan, .. } => Some(plan.earlier()),
             _ => None,
+        }
+    }
+
+    /// Makes room for the handles of these cloths, and returns whether a frame must be recorded anew for that. Fails, and changes
+    /// nothing, if there is not enough memory.
+    pub fn make_room(&mut self, context: &Context, model: &Model) -> Result<bool> {
+        match self {
+            Self::Subspace { plan, .. } if plan.lacks_room(model) => {
+                plan.make_room(context, model)?;
+                Ok(true)
+            }
+            _ => Ok(false),
         }
     }
 

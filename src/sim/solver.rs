@@ -258,12 +258,16 @@ impl Solver {
             let expected = format!("meshes of {room} samples at most, for which the solver was built");
             return Err(Error::invalid("model", "bodies", expected, format!("{found} samples")));
         }
+        let grown = self.method.make_room(&self.context, &model)?;
         let handles_differ = model.marks() != self.model.marks();
         if handles_differ {
             self.targets = self.objective.targets.view(0, &[model.handles(), 3]);
         }
         self.objective.set_cloths(&model);
         self.method.set_cloths(&self.context, &model);
+        if grown {
+            self.frame = self.build_schedule()?;
+        }
         self.model = model;
         if handles_differ {
             self.hold_handles();

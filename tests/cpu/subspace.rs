@@ -2,7 +2,7 @@
 
 use crate::marks_of;
 use crate::noise::noise;
-use fnopt::cloth::modes::{MAX_REACTIONS, SheetConstants, TENSION};
+use fnopt::cloth::modes::{SheetConstants, TENSION};
 use fnopt::cloth::{Cloth, Control, Grid, Material, Model, Repulsion, State, Weave};
 use fnopt::cpu::cloth::{AXES, CurvatureRows, LocalModel, sheet_axes};
 use fnopt::cpu::optim::{Cosines, InverseHessian, RestHessian, SheetHessian, SheetSteps, best_step};
@@ -339,8 +339,7 @@ fn inverse_in_sheet(grid: Grid, cloth: &Cloth, axes: &[f64], field: &[f64]) -> V
 
 /// Returns the steps of a sheet by these forces: in space, in the sheet.
 fn steps(grid: Grid, cloth: &Cloth, axes: &[f64], forces: &[f64]) -> [Vec<f64>; 2] {
-    let of = (cloth, &SheetConstants::FITTED);
-    let mut steps = SheetSteps::new(&Arc::new(Cosines::new(grid)), of, MAX_REACTIONS);
+    let mut steps = SheetSteps::new(&Arc::new(Cosines::new(grid)), cloth, &SheetConstants::FITTED);
     let mut both = [forces.to_vec(), forces.to_vec()];
     steps.in_space(axes, &mut both[0]);
     steps.in_sheet(axes, &mut both[1]);

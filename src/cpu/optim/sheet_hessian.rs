@@ -97,13 +97,9 @@ impl<T: Real> SheetHessian<T> {
 }
 
 impl<T: Real> SheetSteps<T> {
-    /// Builds the steps of one cloth with the tables of its grid. At most `room` of its handles react.
-    pub fn new(
-        cosines: &Arc<Cosines<T>>,
-        (cloth, constants): (&Cloth, &SheetConstants),
-        room: usize,
-    ) -> Self {
-        let Reactions { handles, fields } = Reactions::new(cosines.grid(), (cloth, constants), room);
+    /// Builds the steps of one cloth with the tables of its grid.
+    pub fn new(cosines: &Arc<Cosines<T>>, cloth: &Cloth, constants: &SheetConstants) -> Self {
+        let Reactions { handles, fields } = Reactions::new(cosines.grid(), cloth, constants);
         let hessian = SheetHessian::new(cosines, cloth, constants);
         let reactions = fields.into_iter().map(T::of).collect();
         let zeros = |fields: usize| vec![T::zero(); fields * cosines.grid().particles()];

@@ -3,7 +3,7 @@
 use super::rest_hessian::{Cosines, hold};
 use super::{Extrapolation, SheetSteps, Update, best_start};
 use crate::Result;
-use crate::cloth::modes::{Reactions, SheetConstants};
+use crate::cloth::modes::SheetConstants;
 use crate::cloth::{Cloth, Control, EnergyTerms, Model, State};
 use crate::cpu::cloth::{AXES, CurvatureRows, LocalModel, sheet_axes};
 use crate::cpu::{Objective, Real};
@@ -30,8 +30,6 @@ pub struct Subspace<T: Real> {
     directions: Vec<Direction>,
     network: Option<Update<T>>,
     cloths: Vec<OfCloth<T>>,
-    /// Most handles of a cloth that react.
-    room: usize,
     /// Accelerations of all cloths after a step, shape [B, 3, H, W].
     moved: Vec<T>,
     /// Norms of the gradient at a = 0 for each component of each cloth, shape [B, 3].
@@ -77,8 +75,7 @@ impl<T: Real> Subspace<T> {
         };
         let moved = vec![T::zero(); 3 * model.batch() * model.grid.particles()];
         let norms_at_start = vec![0.0; 3 * model.batch()];
-        let room = Reactions::room(model);
-        let mut new = Self { directions, network, cloths: Vec::new(), room, moved, norms_at_start };
+        let mut new = Self { directions, network, cloths: Vec::new(), moved, norms_at_start };
         new.set_cloths(model);
         Ok(new)
     }
@@ -89,7 +86,7 @@ impl<T: Real> Subspace<T> {
         let old = std::mem::take(&mut self.cloths);
         let needs_steps =
             self.directions.iter().any(|d| matches!(d, Direction::Spectral | Direction::CoRotated));
-        let (n, room) = (model.grid.particles(), self.room);
+        let n = model.grid.particles();
         let zeros = |fields: usize| vec![T::zero(); fields * n];
         let new = |cloth: &Cloth| {
             let held = cloth.held();
@@ -100,7 +97,7 @@ impl<T: Real> Subspace<T> {
                 extrapolation: Extrapolation::new(model.grid, &held),
                 axes: zeros(AXES),
                 steps_of_sheet: needs_steps
-                    .then(|| SheetSteps::new(&cosines, (cloth, &SheetConstants::FITTED), room)),
+                    .then(|| SheetSteps::new(&cosines, cloth, &SheetConstants::FITTED)),
                 rows: CurvatureRows::new(model.grid),
                 accepted: Accepted { energy: f64::INFINITY, magnitude: 0.0, slope: 0.0 },
                 steps: StepCounts::default(),

@@ -27,14 +27,14 @@ impl Reacting {
         })
     }
 
-    /// Takes the handles and materials of these cloths.
+    /// Takes the handles and materials of these cloths. Panics if more of them react than there is room for.
     pub fn write(&self, context: &Context, model: &Model) {
         let room = self.handles.shape()[1];
+        assert!(Reactions::most(model) <= room, "room for {room} handles");
         let stride = 4 * room * model.grid.particles();
         let mut all = vec![NONE; self.handles.len()];
         for (b, cloth) in model.cloths.iter().enumerate() {
-            let of = (cloth, &SheetConstants::FITTED);
-            let Reactions { handles, fields } = Reactions::new(model.grid, of, room);
+            let Reactions { handles, fields } = Reactions::new(model.grid, cloth, &SheetConstants::FITTED);
             for (to, handle) in all[b * room..].iter_mut().zip(&handles) {
                 *to = u32::try_from(*handle).expect("a grid has fewer particles");
             }

@@ -8,6 +8,7 @@ use super::{
     SubspaceStep, When, directions,
 };
 use crate::Result;
+use crate::cloth::modes::Reactions;
 use crate::cloth::{Grid, Model};
 use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::cloth::sheet_axes::AXES;
@@ -132,7 +133,20 @@ impl Subspace {
         objective.confine(schedule, Some(&self.directions));
     }
 
-    /// Takes the handles and materials of the cloths, from the next submission on.
+    /// Whether a frame must be recorded anew for handles of these cloths, of which more react than before.
+    pub fn lacks_room(&self, model: &Model) -> bool {
+        Reactions::most(model) > self.reacting.handles.shape()[1]
+    }
+
+    /// Makes room for the handles of these cloths. Frames that were recorded before keep the old ones. Fails if there is not enough
+    /// memory.
+    pub fn make_room(&mut self, context: &Context, model: &Model) -> Result<()> {
+        self.reacting = Reacting::new(context, Reactions::most(model), (self.grid, model.batch()))?;
+        Ok(())
+    }
+
+    /// Takes the handles and materials of the cloths, from the next submission on. Panics without room for them
+    /// ([`Subspace::lacks_room`]).
     pub fn set_cloths(&self, context: &Context, model: &Model) {
         self.reacting.write(context, model);
     }

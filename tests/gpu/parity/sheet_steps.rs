@@ -4,7 +4,7 @@
 use super::cloth::{constants, field, iterate, model};
 use crate::common::{assert_close, cases, context, device, largest, noise, poisoned, read, run, tensor};
 use fnopt::cloth::modes::{Component, Reactions, SheetConstants};
-use fnopt::cloth::{Grid, Model};
+use fnopt::cloth::{Cloth, Grid, Model};
 use fnopt::cpu::optim::{Cosines, SheetSteps};
 use fnopt::kernels::cloth::sheet_axes::AXES;
 use fnopt::kernels::optim::cosine_columns::squared_frequencies;
@@ -155,7 +155,7 @@ fn steps_match() {
         let axes = tensor("axes", &[batch, AXES, n], &given.axes);
         let [along_column, along_row] = [grid.h, grid.w].map(|n| table(context(), n).unwrap());
         let (mu, cloths) = (squared_frequencies(context(), grid).unwrap(), constants(model));
-        let room = Reactions::room(model);
+        let room = Reactions::most(model);
         let reacting = Reacting::new(context(), room, (grid, batch)).unwrap();
         reacting.write(context(), model);
         let all = poisoned("directions", &directions::shape(3, batch, grid));
@@ -195,7 +195,7 @@ fn steps_match() {
                 })
                 .collect();
             let forces: Vec<f64> = of(&given.grad[3 * b * n..][..3 * n]).iter().map(|g| -g).collect();
-            let mut steps = SheetSteps::new(&cosines, (cloth, &SheetConstants::FITTED), room);
+            let mut steps = SheetSteps::new(&cosines, cloth, &SheetConstants::FITTED);
             let both = |steps: &mut SheetSteps<f64>| {
                 let (mut in_space, mut in_sheet) = (forces.clone(), forces.clone());
                 steps.in_space(&axes, &mut in_space);
@@ -205,7 +205,8 @@ fn steps_match() {
             let [in_space, in_sheet] = both(&mut steps);
             spectral.extend(in_space);
             rotated.extend(in_sheet);
-            let mut alone = SheetSteps::new(&cosines, (cloth, &SheetConstants::FITTED), 0);
+            let free = Cloth { handles: vec![], ..cloth.clone() };
+            let mut alone = SheetSteps::new(&cosines, &free, &SheetConstants::FITTED);
             for (most, step) in unheld.iter_mut().zip(both(&mut alone)) {
                 *most = most.max(largest(&step));
             }
