@@ -114,14 +114,14 @@ pub struct Reactions {
 impl Reactions {
     /// Returns the largest number of handles that react in one of these cloths, at least 1.
     pub fn most(model: &Model) -> usize {
-        let most = model.cloths.iter().map(|cloth| cloth.handles.len()).max().unwrap_or(0);
-        most.clamp(1, MAX_REACTIONS)
+        let most = model.cloths.iter().map(|cloth| reacting(cloth.handles.len())).max();
+        most.unwrap_or(0).max(1)
     }
 
-    /// Computes the reactions of a cloth's handles. Of more than [`MAX_REACTIONS`], as many react, evenly spread over their order.
+    /// Computes the reactions of a cloth's handles. Of more than [`MAX_REACTIONS`], the first and the middle one react.
     pub fn new(grid: Grid, cloth: &Cloth, constants: &SheetConstants) -> Self {
         let n = grid.particles();
-        let count = cloth.handles.len().min(MAX_REACTIONS);
+        let count = reacting(cloth.handles.len());
         let handles: Vec<usize> =
             (0..count).map(|k| cloth.handles[k * cloth.handles.len() / count]).collect();
         let mut fields = vec![0.0; count * 4 * n];
@@ -146,6 +146,12 @@ impl Reactions {
         }
         Self { handles, fields }
     }
+}
+
+/// Returns how many of a cloth's handles react. When eight of a long row did, whose neighbours did not, layers passed through each other in the
+/// scene `twist` at 64x64.
+fn reacting(handles: usize) -> usize {
+    if handles > MAX_REACTIONS { 2 } else { handles }
 }
 
 /// Returns the orthonormal DCT-II of n points, row by row.
@@ -241,13 +247,13 @@ mod tests {
         }
     }
 
-    /// Of many handles, some take part, spread over all of them.
+    /// Of many handles, two take part.
     #[test]
-    fn reactions_of_many_handles_are_spread() {
+    fn two_of_many_handles_react() {
         let grid = Grid { h: 9, w: 32 };
         let cloth = Cloth { handles: (0..32).collect(), ..Cloth::default() };
         let reactions = Reactions::new(grid, &cloth, &SheetConstants::FITTED);
-        assert_eq!(reactions.handles, [0, 4, 8, 12, 16, 20, 24, 28]);
+        assert_eq!(reactions.handles, [0, 16]);
         assert!(Reactions::new(grid, &Cloth::default(), &SheetConstants::FITTED).fields.is_empty());
     }
 }
