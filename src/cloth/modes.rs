@@ -28,8 +28,8 @@ pub struct SheetConstants {
 impl SheetConstants {
     /// Those of a flat sheet.
     pub const FLAT: Self = Self { tangential_inertia: 1.0, normal_inertia: 1.0, normal_bend: 1.0 };
-    /// Those of a sheet in motion, found together with [`HANDLE_SHARE`](crate::settings::HANDLE_SHARE). What stretches must go along with
-    /// what bends, so both are slower than alone.
+    /// Those of a sheet in motion, found together with [`HANDLE_SHARE`](crate::settings::HANDLE_SHARE), but for the inertia along
+    /// the surface: the search found 5, which leaves a quarter less of the gap of free cloth and more where cloth meets bodies.
     pub const FITTED: Self = Self { tangential_inertia: 2.0, normal_inertia: 4.0, normal_bend: 4.0 };
 }
 

@@ -4,6 +4,7 @@ use super::operator::activations_len;
 use super::optim::{Hidden, Minimizer, Subspace, Update, minimizer, norm};
 use super::reference::Minimum;
 use super::{Objective, Real, Reference};
+use crate::cloth::modes::Reactions;
 use crate::cloth::{Cloth, Control, MAX_CONTACTS, Model, State};
 use crate::settings::LEARNED_ITERATIONS;
 use crate::sim::{Direction, FrameStats, Initial, IterationLog, Length, Memory, Optimizer, StepCounts};
@@ -271,11 +272,12 @@ fn bytes<T: Real>(optimizer: &Optimizer, model: &Model) -> usize {
             24 * (settings.history + 1) + if *initial == Initial::Identity { 0 } else { 60 }
         }
         Direction::Spectral => 60,
-        Direction::CoRotated => 90,
+        Direction::CoRotated => 140,
         Direction::Last => 30,
         Direction::Network(_) => 420,
     };
-    let subspace = if optimizer.length == Length::Subspace { 80 } else { 0 };
+    // What the handles' reactions take, and their computation in double precision.
+    let subspace = if optimizer.length == Length::Subspace { 80 + 48 * Reactions::most(model) } else { 0 };
     let bodies = model.cloths.iter().map(|cloth| cloth.bodies.len().min(MAX_CONTACTS)).max().unwrap_or(0);
     // What the search for pairs takes, and some pairs.
     let layers = if model.touches_itself() { 1500 } else { 0 };

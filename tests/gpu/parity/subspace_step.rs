@@ -3,6 +3,7 @@
 use super::cloth::{crumpled, field, model, repelling};
 use crate::common::{assert_close, cases, context, device, noise, poisoned, read, run, tensor};
 use crate::solver::assert_same;
+use fnopt::cloth::modes::Reactions;
 use fnopt::cloth::{Grid, Mark};
 use fnopt::cpu::cloth::LocalModel;
 use fnopt::cpu::optim::best_start;
@@ -303,7 +304,9 @@ fn frames_lower_the_energy() {
         };
         let frame = |order: Order| {
             let context = context().with_order(order);
-            let plan = Subspace::new(&context, (count, 1), ITERATIONS, (grid, batch)).unwrap();
+            let plan =
+                Subspace::new(&context, (count, Reactions::most(&model)), ITERATIONS, (grid, batch)).unwrap();
+            plan.set_cloths(&context, &model);
             assert_eq!(plan.learned_step().is_some(), repels);
             plan.learned_step().inspect(|step| step.write(&context, &learned));
             let objective = Objective::new(&context, grid, batch, room).unwrap();
