@@ -34,22 +34,6 @@ fn load_mode(b: u32, i: u32, l: u32, place: u32) {
     fields[place] = of_mode;
 }
 
-// Returns element (l, j) of the table, 0 outside of it.
-fn cosine(l: u32, j: u32) -> f32 {
-    if l < params.columns && j < params.columns {
-        return table[l * params.columns + j];
-    }
-    return 0.0;
-}
-
-// Writes the columns of a quad that exist.
-fn keep(at: u32, v: vec4f, columns: u32) {
-    if columns > 0u { out[at] = v.x; }
-    if columns > 1u { out[at + 1u] = v.y; }
-    if columns > 2u { out[at + 2u] = v.z; }
-    if columns > 3u { out[at + 3u] = v.w; }
-}
-
 @compute @workgroup_size(64)
 fn cosine_back(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3u) {
     let b = group.z;
@@ -68,17 +52,5 @@ fn cosine_back(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id
         workgroupBarrier();
         add_products(lane / 8u, lane % 8u);
     }
-    let i = first_row + lane / 8u;
-    let j = first_column + 4u * (lane % 8u);
-    if i < params.rows && j < params.columns {
-        let n = params.rows * params.columns;
-        let at = b * FIELDS * n + i * params.columns + j;
-        let columns = params.columns - j;
-        keep(at, sum0, columns);
-        keep(at + n, sum1, columns);
-        if FIELDS > 2u {
-            keep(at + 2u * n, sum2, columns);
-            keep(at + 3u * n, sum3, columns);
-        }
-    }
+    keep_fields(b, first_row + lane / 8u, first_column + 4u * (lane % 8u));
 }

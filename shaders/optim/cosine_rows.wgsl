@@ -1,13 +1,13 @@
 // Cosine transform along the rows of forces on the particles of a sheet.
 //
-// z[f, i, l] = sum_j table[l, j] field_f[i, j]. Of four fields, 0 to 2 are the components of near v, and 3 is the product of the
+// out[f, i, l] = sum_j table[l, j] field_f[i, j]. Of four fields, 0 to 2 are the components of near v, and 3 is the product of the
 // forces v with the normal; the two fields (FIELDS = 2) are those with t1 and t2 (`sheet_axes`). All are 0 where no free particle is.
 //
 // forces: [B, 3, H, W]
 // marks: [B, H, W]
 // axes: [B, 16, H, W] = t1, t2, the normal, near, and two edges
 // table: [W, W], the orthonormal DCT-II, table[l, j] = sqrt((l == 0 ? 1 : 2) / W) cos(pi l (2 j + 1) / 2 W)
-// z: [B, FIELDS, H, W]
+// out: [B, FIELDS, H, W]
 //
 // One invocation per four columns of a row, all fields. Workgroups: (W / 32, H / 8, B).
 // Adjoint: none, the optimizer is not trained.
@@ -22,7 +22,7 @@ struct Params {
 @group(0) @binding(2) var<storage, read> marks: array<vec2u>;
 @group(0) @binding(3) var<storage, read> axes: array<f32>;
 @group(0) @binding(4) var<storage, read> table: array<f32>;
-@group(0) @binding(5) var<storage, read_write> z: array<f32>;
+@group(0) @binding(5) var<storage, read_write> out: array<f32>;
 
 // Returns an axis of a particle, given where its first component is.
 fn axis(at: u32, n: u32) -> vec3f {
@@ -47,22 +47,6 @@ fn load_particle(b: u32, i: u32, j: u32, place: u32) {
     fields[place] = of_particle;
 }
 
-// Returns element (l, j) of the table, 0 outside of it.
-fn cosine(l: u32, j: u32) -> f32 {
-    if l < params.columns && j < params.columns {
-        return table[l * params.columns + j];
-    }
-    return 0.0;
-}
-
-// Writes the columns of a quad that exist.
-fn keep(at: u32, v: vec4f, columns: u32) {
-    if columns > 0u { z[at] = v.x; }
-    if columns > 1u { z[at + 1u] = v.y; }
-    if columns > 2u { z[at + 2u] = v.z; }
-    if columns > 3u { z[at + 3u] = v.w; }
-}
-
 @compute @workgroup_size(64)
 fn cosine_rows(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3u) {
     let b = group.z;
@@ -83,17 +67,5 @@ fn cosine_rows(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id
         workgroupBarrier();
         add_products(lane / 8u, lane % 8u);
     }
-    let i = first_row + lane / 8u;
-    let l = first_column + 4u * (lane % 8u);
-    if i < params.rows && l < params.columns {
-        let n = params.rows * params.columns;
-        let at = b * FIELDS * n + i * params.columns + l;
-        let columns = params.columns - l;
-        keep(at, sum0, columns);
-        keep(at + n, sum1, columns);
-        if FIELDS > 2u {
-            keep(at + 2u * n, sum2, columns);
-            keep(at + 3u * n, sum3, columns);
-        }
-    }
+    keep_fields(b, first_row + lane / 8u, first_column + 4u * (lane % 8u));
 }

@@ -36,9 +36,6 @@ struct Params {
 @group(0) @binding(7) var<storage, read_write> directions: array<f32>;
 @group(0) @binding(8) var<storage, read_write> rest: array<f32>;
 
-// Stands for a handle that there isn't.
-const NONE: u32 = 0xffffffffu;
-
 // Returns one of the axes or edges of a particle.
 fn axis(b: u32, first: u32, p: u32) -> vec3f {
     let n = params.rows * params.columns;
@@ -52,12 +49,7 @@ fn across(b: u32, p: u32) -> vec3f {
     if !is_free(marks[b * n + p]) {
         return vec3f();
     }
-    let field = (4u * b + 3u) * n;
-    var sum = y[field + p];
-    for (var k = 0u; k < params.room && handles[b * params.room + k] != NONE; k++) {
-        sum -= reactions[((b * params.room + k) * 4u + 3u) * n + p] * y[field + handles[b * params.room + k]];
-    }
-    return -sum * axis(b, 6u, p);
+    return -reacted(b, (4u * b + 3u) * n, 3u, p, n) * axis(b, 6u, p);
 }
 
 // Returns the force on the first end of an edge from p to q, p being where it begins, for steps there.
@@ -98,13 +90,8 @@ fn step_across(
     let free = is_free(marks[b * n + p]);
     let near = axes[(b * 16u + 9u) * n + p];
     for (var c = 0u; c < 3u; c++) {
-        let field = (4u * b + c) * n;
-        var sum = y[field + p];
-        for (var k = 0u; k < params.room && handles[b * params.room + k] != NONE; k++) {
-            sum -= reactions[(b * params.room + k) * 4u * n + p] * y[field + handles[b * params.room + k]];
-        }
         let at = (3u * b + c) * n + p;
-        directions[at] = select(0.0, -near * sum, free);
+        directions[at] = select(0.0, -near * reacted(b, (4u * b + c) * n, 0u, p, n), free);
         directions[params.slot + at] = own[c];
         rest[at] = select(0.0, grad[at] + force[c], free);
     }

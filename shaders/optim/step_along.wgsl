@@ -28,9 +28,6 @@ struct Params {
 @group(0) @binding(5) var<storage, read> reactions: array<f32>;
 @group(0) @binding(6) var<storage, read_write> directions: array<f32>;
 
-// Stands for a handle that there isn't.
-const NONE: u32 = 0xffffffffu;
-
 @compute @workgroup_size(64)
 fn step_along(
     @builtin(local_invocation_index) lane: u32,
@@ -43,16 +40,11 @@ fn step_along(
     if p >= n || !is_free(marks[b * n + p]) {
         return;
     }
-    var sums = vec2f(y[2u * b * n + p], y[(2u * b + 1u) * n + p]);
-    for (var k = 0u; k < params.room && handles[b * params.room + k] != NONE; k++) {
-        let handle = handles[b * params.room + k];
-        let field = ((b * params.room + k) * 4u + 1u) * n + p;
-        let moved = vec2f(y[2u * b * n + handle], y[(2u * b + 1u) * n + handle]);
-        sums -= vec2f(reactions[field], reactions[field + n]) * moved;
-    }
+    let first = reacted(b, 2u * b * n, 1u, p, n);
+    let second = reacted(b, (2u * b + 1u) * n, 2u, p, n);
     for (var c = 0u; c < 3u; c++) {
         let axis = (b * 16u + c) * n + p;
         let at = params.slot + (3u * b + c) * n + p;
-        directions[at] -= sums.x * axes[axis] + sums.y * axes[axis + 3u * n];
+        directions[at] -= first * axes[axis] + second * axes[axis + 3u * n];
     }
 }

@@ -1,6 +1,6 @@
 // A product of four fields, or two, with a matrix, in tiles of 8 rows of particles by 32 columns of the result. An
 // invocation computes four columns of one row, for all fields: each number that it reads from workgroup
-// memory then enters several products.
+// memory then enters several products. From the kernel's bindings table and out, and parameters rows and columns.
 
 // 4, or 2: then the other two are neither read nor written.
 override FIELDS: u32 = 4;
@@ -31,5 +31,37 @@ fn add_products(row: u32, quad: u32) {
             sum2 += of_row.z * factor;
             sum3 += of_row.w * factor;
         }
+    }
+}
+
+// Returns element (l, j) of the kernel's table [W, W], 0 outside of it.
+fn cosine(l: u32, j: u32) -> f32 {
+    if l < params.columns && j < params.columns {
+        return table[l * params.columns + j];
+    }
+    return 0.0;
+}
+
+// Writes the columns of a quad that exist to the kernel's out.
+fn keep(at: u32, v: vec4f, columns: u32) {
+    if columns > 0u { out[at] = v.x; }
+    if columns > 1u { out[at + 1u] = v.y; }
+    if columns > 2u { out[at + 2u] = v.z; }
+    if columns > 3u { out[at + 3u] = v.w; }
+}
+
+// Writes four columns of row i of all fields of cloth b, as far as they exist.
+fn keep_fields(b: u32, i: u32, column: u32) {
+    if i >= params.rows || column >= params.columns {
+        return;
+    }
+    let n = params.rows * params.columns;
+    let at = b * FIELDS * n + i * params.columns + column;
+    let columns = params.columns - column;
+    keep(at, sum0, columns);
+    keep(at + n, sum1, columns);
+    if FIELDS > 2u {
+        keep(at + 2u * n, sum2, columns);
+        keep(at + 3u * n, sum3, columns);
     }
 }

@@ -5,12 +5,12 @@ use crate::Result;
 use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::cloth::sheet_axes::AXES;
-use crate::kernels::{common, size};
+use crate::kernels::{common, pieces, size};
 
 pub(crate) const SOURCE: Source = Source {
     name: "step_across",
     wgsl: include_str!("../../../shaders/optim/step_across.wgsl"),
-    appended: &[common::MARK],
+    appended: &[common::MARK, pieces::REACTING],
 };
 
 #[repr(C)]
