@@ -19,6 +19,8 @@ pub const MAX_REACTIONS: usize = 8;
 pub struct SheetConstants {
     /// Inertia of a mode along the sheet's surface.
     pub tangential_inertia: f64,
+    /// Share of what contacts with bodies add to that inertia, as if all particles had them.
+    pub tangential_contact: f64,
     /// Inertia of a mode across the sheet's surface.
     pub normal_inertia: f64,
     /// Resistance to bending of a mode across the sheet's surface.
@@ -27,10 +29,11 @@ pub struct SheetConstants {
 
 impl SheetConstants {
     /// Those of a flat sheet.
-    pub const FLAT: Self = Self { tangential_inertia: 1.0, normal_inertia: 1.0, normal_bend: 1.0 };
-    /// Those of a sheet in motion, found together with [`HANDLE_SHARE`](crate::settings::HANDLE_SHARE), but for the inertia along
-    /// the surface: the search found 5, which leaves a quarter less of the gap of free cloth and more where cloth meets bodies.
-    pub const FITTED: Self = Self { tangential_inertia: 2.0, normal_inertia: 4.0, normal_bend: 4.0 };
+    pub const FLAT: Self =
+        Self { tangential_inertia: 1.0, tangential_contact: 0.0, normal_inertia: 1.0, normal_bend: 1.0 };
+    /// Those of a sheet in motion, found together with [`HANDLE_SHARE`](crate::settings::HANDLE_SHARE).
+    pub const FITTED: Self =
+        Self { tangential_inertia: 2.0, tangential_contact: 0.0, normal_inertia: 4.0, normal_bend: 4.0 };
 }
 
 /// The fields of a sheet with an inverse Hessian of their own: a component in the axes of the world, those along the sheet's two
@@ -65,7 +68,9 @@ impl Component {
         let (along_h, along_w) = (damped[0] / ((h - 1) * w) as f64, damped[1] / (h * (w - 1)) as f64);
         let [down, across] = material.bends().map(|coefficient| 2.0 * coefficient);
         let tangential = |along: f64, own: f64, other: f64, bend: f64| {
-            let others = constants.tangential_inertia + 8.0 * material.shear * other + bend * other * other;
+            let inertia =
+                constants.tangential_inertia + constants.tangential_contact * cloth.contact_curvature();
+            let others = inertia + 8.0 * material.shear * other + bend * other * other;
             along * (own + TENSION * other) + others / n
         };
         let bend = down * m * m + across * q * q;

@@ -21,7 +21,7 @@ pub struct Tuning {
     pub block_span: u32,
     /// Most tiles of output channels per workgroup of a block.
     pub block_deep: u32,
-    /// Whether the inputs and weights of a block are staged in workgroup memory. Each is then read once for
+    /// Whether the inputs and weights of a block, and the operands of a sheet's transforms, are staged in workgroup memory. Each is then read once for
     /// all channels of a workgroup, and an invocation waits for a few reads instead of one per input. The
     /// scalar head, which is little work in comparison, is then repeated in every workgroup of the update
     /// kernel, instead of in a dispatch that all later ones wait for.

@@ -79,9 +79,9 @@ impl Method {
                 }
                 _ => return refused(),
             };
-            let count = optimizer.directions.len();
-            let plan =
-                Box::new(Subspace::new(context, (count, Reactions::most(model)), iterations, (grid, batch))?);
+            let room = (optimizer.directions.len(), Reactions::most(model));
+            let plan = Subspace::new(context, room, (iterations, tuning.staged), (grid, batch))?;
+            let plan = Box::new(plan);
             return Ok(Self::Subspace { plan, network, step_scale: StepScale::new(context)? });
         }
         let [direction] = &optimizer.directions[..] else { return refused() };

@@ -1,6 +1,5 @@
 //! Host side of `shaders/optim/cosine_columns.wgsl`.
 
-use super::Fields;
 use crate::Result;
 use crate::cloth::Grid;
 use crate::cloth::modes::{SheetConstants, TENSION, mu};
@@ -21,11 +20,47 @@ struct Params {
     columns: u32,
 }
 
-/// Transforms the columns of fields and divides them by their eigenvalues, or transforms them back.
+/// The fields of a cloth that are transformed together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fields {
+    /// The three components in the axes of the world, and that across the sheet.
+    SpaceAndNormal,
+    /// Those along the two tangents of the sheet.
+    Tangents,
+}
+
+impl Fields {
+    /// Returns their number.
+    pub fn count(self) -> usize {
+        match self {
+            Self::SpaceAndNormal => 4,
+            Self::Tangents => 2,
+        }
+    }
+
+    /// Returns their shape for each of `batch` cloths, [B, 4 or 2, H, W].
+    pub fn shape(self, batch: usize, grid: Grid) -> [usize; 4] {
+        [batch, self.count(), grid.h, grid.w]
+    }
+
+    /// Returns the shape of the steps of both, [B, 6, H, W].
+    pub fn shape_of_all(batch: usize, grid: Grid) -> [usize; 4] {
+        [batch, 6, grid.h, grid.w]
+    }
+
+    /// Returns the constants that tell a kernel: their number, and the first one among all.
+    pub(super) fn constants(self) -> [(&'static str, f64); 2] {
+        let first = if self == Self::Tangents { 4.0 } else { 0.0 };
+        [("FIELDS", self.count() as f64), ("FIRST", first)]
+    }
+}
+
+/// Multiplies fields by their inverse Hessian, between the transforms of their rows.
 #[derive(Clone, Debug)]
 pub struct CosineColumns {
     kernel: Kernel,
     fields: Fields,
+    grid: Grid,
 }
 
 /// Returns `2 - 2 cos(pi k / n)` of the modes of the columns, then of the rows, [H + W].
@@ -36,36 +71,45 @@ pub fn squared_frequencies(context: &Context, grid: Grid) -> Result<Tensor> {
     Tensor::from_slice(context, "squared frequencies", &[h + w], &values)
 }
 
+/// Returns the number of invocations of a workgroup: as many as there are rows, rounded up, but no more than 128.
+fn lanes(grid: Grid) -> usize {
+    grid.h.next_multiple_of(32).min(128)
+}
+
 impl CosineColumns {
-    /// Builds the kernel, of the inverse transform if `inverse`.
-    pub fn new(context: &Context, fields: Fields, inverse: bool) -> Result<Self> {
+    /// Builds the kernel for columns of this grid, which go through workgroup memory if `staged`.
+    pub fn new(context: &Context, fields: Fields, grid: Grid, staged: bool) -> Result<Self> {
         let of_sheet = SheetConstants::FITTED;
+        let [count, first] = fields.constants();
         let constants = [
-            ("INVERSE", f64::from(u8::from(inverse))),
+            count,
+            first,
+            ("STAGED", f64::from(u8::from(staged))),
+            ("LANES", lanes(grid) as f64),
             ("TAU", TENSION),
-            fields.constant(),
             ("TANGENTIAL", of_sheet.tangential_inertia),
+            ("CONTACT", of_sheet.tangential_contact),
             ("NORMAL", of_sheet.normal_inertia),
             ("BEND", of_sheet.normal_bend),
         ];
-        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &constants)?, fields })
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &constants)?, fields, grid })
     }
 
-    /// Sets `out` from `z`, both of [`Fields::shape`], with the materials of `cloths` \[B\],
-    /// [`super::cosine_rows::table`] of H points and [`squared_frequencies`].
+    /// Multiplies `z` ([`Fields::shape`]), with the materials of `cloths` \[B\], [`super::cosine_rows::table`] of H points and
+    /// [`squared_frequencies`]. The same fields of `y` ([`Fields::shape_of_all`]) are overwritten.
     pub fn push(
         &self,
         schedule: &mut Schedule,
-        grid: Grid,
         (cloths, table, mu): (&Tensor, &Tensor, &Tensor),
-        [z, out]: [&Tensor; 2],
+        [z, y]: [&Tensor; 2],
     ) {
-        let batch = z.shape()[0];
-        assert_eq!([z, out].map(Tensor::shape), [&self.fields.shape(batch, grid)[..]; 2]);
+        let (grid, batch) = (self.grid, z.shape()[0]);
+        assert_eq!(z.shape(), self.fields.shape(batch, grid));
+        assert_eq!(y.shape(), Fields::shape_of_all(batch, grid));
         assert_eq!(cloths.bytes() as usize, batch * size_of::<ClothParams>());
         assert_eq!((table.shape(), mu.len()), (&[grid.h; 2][..], grid.h + grid.w));
         let params = Params { rows: size(grid.h), columns: size(grid.w) };
-        let groups = [grid.w.div_ceil(32), grid.h.div_ceil(32), self.fields.count() * batch].map(size);
-        schedule.dispatch(&self.kernel, &params, &[cloths, table, mu, z, out], groups);
+        let groups = [grid.w.div_ceil(16), self.fields.count() * batch, 1].map(size);
+        schedule.dispatch(&self.kernel, &params, &[cloths, table, mu, z, y], groups);
     }
 }

@@ -1,6 +1,6 @@
 //! Host side of `shaders/optim/cosine_rows.wgsl`.
 
-use super::Iterate;
+use super::{Fields, Iterate};
 use crate::Result;
 use crate::cloth::Grid;
 use crate::cloth::modes::cosine;
@@ -21,40 +21,10 @@ struct Params {
     columns: u32,
 }
 
-/// Transforms the rows of forces: in the axes of the world and across the sheet, or along it.
+/// Transforms the rows of forces in the axes of the world and across the sheet.
 #[derive(Clone, Debug)]
 pub struct CosineRows {
     kernel: Kernel,
-    fields: Fields,
-}
-
-/// The fields of a cloth that are transformed together.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Fields {
-    /// The three components in the axes of the world, and that across the sheet.
-    SpaceAndNormal,
-    /// Those along the two tangents of the sheet.
-    Tangents,
-}
-
-impl Fields {
-    /// Returns their number.
-    pub fn count(self) -> usize {
-        match self {
-            Self::SpaceAndNormal => 4,
-            Self::Tangents => 2,
-        }
-    }
-
-    /// Returns their shape for each of `batch` cloths, [B, 4 or 2, H, W].
-    pub fn shape(self, batch: usize, grid: Grid) -> [usize; 4] {
-        [batch, self.count(), grid.h, grid.w]
-    }
-
-    /// Returns the constant that tells a kernel.
-    pub(super) fn constant(self) -> (&'static str, f64) {
-        ("FIELDS", self.count() as f64)
-    }
 }
 
 /// Returns the orthonormal cosine matrix (DCT-II) of `n` points [n, n], whose row k is mode k.
@@ -65,28 +35,30 @@ pub fn table(context: &Context, n: usize) -> Result<Tensor> {
 }
 
 impl CosineRows {
-    /// Builds the kernel.
-    pub fn new(context: &Context, fields: Fields) -> Result<Self> {
-        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[fields.constant()])?, fields })
+    /// Builds the kernel, whose operands go through workgroup memory if `staged`.
+    pub fn new(context: &Context, staged: bool) -> Result<Self> {
+        let constants = [("STAGED", f64::from(u8::from(staged)))];
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &constants)? })
     }
 
-    /// Sets `z` ([`Fields::shape`]) from `forces` [B, 3, n] on the particles of `iterate`, the `axes` [B, 16, n] of the sheet and
+    /// Sets `z` ([`Fields::SpaceAndNormal`]) from the gradient [B, 3, n] of `iterate`, the `axes` [B, 16, n] of the sheet and
     /// the [`table`] of W points.
     pub fn push(
         &self,
         schedule: &mut Schedule,
         grid: Grid,
-        (iterate, forces): (&Iterate, &Tensor),
-        (axes, table): (&Tensor, &Tensor),
-        z: &Tensor,
+        (iterate, axes): (&Iterate, &Tensor),
+        [table, z]: [&Tensor; 2],
     ) {
         let (samples, n) = iterate.samples_and_particles();
         let batch = samples / 3;
         assert_eq!((n, axes.shape()), (grid.particles(), &[batch, AXES, n][..]));
-        assert_eq!(forces.len(), samples * n);
-        assert_eq!((table.shape(), z.shape()), (&[grid.w; 2][..], &self.fields.shape(batch, grid)[..]));
+        assert_eq!(
+            (table.shape(), z.shape()),
+            (&[grid.w; 2][..], &Fields::SpaceAndNormal.shape(batch, grid)[..])
+        );
         let params = Params { rows: size(grid.h), columns: size(grid.w) };
-        let tensors = [forces, &iterate.marks, axes, table, z];
+        let tensors = [&iterate.grad, &iterate.marks, axes, table, z];
         let groups = [grid.w.div_ceil(32), grid.h.div_ceil(8), batch].map(size);
         schedule.dispatch(&self.kernel, &params, &tensors, groups);
     }

@@ -2,6 +2,7 @@
 //! sections 3.3 and 4.3).
 
 pub mod adam;
+pub mod answer_rows;
 pub mod cosine_back;
 pub mod cosine_columns;
 pub mod cosine_order;
@@ -14,8 +15,7 @@ pub mod lbfgs;
 mod quasi_newton;
 mod reacting;
 pub mod rest_modes;
-pub mod step_across;
-pub mod step_along;
+pub mod sheet_steps;
 pub mod step_scale;
 mod subspace;
 pub mod subspace_step;
@@ -23,10 +23,11 @@ pub mod update;
 pub mod update_adj;
 
 pub use adam::Adam;
+pub use answer_rows::AnswerRows;
 pub use cosine_back::CosineBack;
-pub use cosine_columns::CosineColumns;
+pub use cosine_columns::{CosineColumns, Fields};
 pub use cosine_order::CosineOrder;
-pub use cosine_rows::{CosineRows, Fields};
+pub use cosine_rows::CosineRows;
 pub use extrapolate::Extrapolate;
 pub use features::{FeatureInputs, Features};
 pub use gradient_descent::GradientDescent;
@@ -34,8 +35,7 @@ pub use lbfgs::{Lbfgs, LbfgsMemory, Part};
 pub use quasi_newton::QuasiNewton;
 pub use reacting::Reacting;
 pub use rest_modes::RestModes;
-pub use step_across::StepAcross;
-pub use step_along::StepAlong;
+pub use sheet_steps::SheetSteps;
 pub use step_scale::StepScale;
 pub use subspace::Subspace;
 pub use subspace_step::{SubspaceStep, When};

@@ -4,7 +4,7 @@ use super::cosine_columns::squared_frequencies;
 use super::cosine_rows::table;
 use super::subspace_step::STATE;
 use super::{
-    CosineBack, CosineColumns, CosineRows, Extrapolate, Fields, Iterate, Reacting, StepAcross, StepAlong,
+    AnswerRows, CosineBack, CosineColumns, CosineRows, Extrapolate, Fields, Reacting, SheetSteps,
     SubspaceStep, When, directions,
 };
 use crate::Result;
@@ -28,10 +28,11 @@ pub struct Subspace {
     iterations: usize,
     axes_kernel: SheetAxes,
     extrapolate: Extrapolate,
+    rows: CosineRows,
+    answer_rows: AnswerRows,
     /// Of the fields in space and across the sheet, and of those along it.
-    transforms: [Transform; 2],
-    across: StepAcross,
-    along: StepAlong,
+    inverses: [Inverse; 2],
+    steps: SheetSteps,
     step: SubspaceStep,
     /// Cosine matrices along a column and along a row.
     tables: [Tensor; 2],
@@ -40,10 +41,10 @@ pub struct Subspace {
     /// Axes of the sheet, shape [B, 16, n].
     axes: Tensor,
     reacting: Reacting,
-    /// Four fields before and after a transform, shape [B, 4, H, W].
-    fields: [Tensor; 2],
-    /// What a step across the sheet leaves of the gradient, shape [B, 3, n].
-    rest: Tensor,
+    /// Four fields whose rows are transformed, shape [B, 4, H, W].
+    z: Tensor,
+    /// What comes back, of the fields in space, across the sheet and along it, shape [B, 6, H, W].
+    y: Tensor,
     /// Shape [K, slot].
     directions: Tensor,
     /// Accelerations of the frame before the last one, 0 at handles; shape [B, 3, n].
@@ -54,58 +55,52 @@ pub struct Subspace {
     state: Tensor,
 }
 
-/// The inverse Hessian of some fields of a sheet, by their cosine transform.
+/// The inverse Hessian of some fields of a sheet whose rows are transformed.
 #[derive(Clone, Debug)]
-struct Transform {
+struct Inverse {
     fields: Fields,
-    rows: CosineRows,
-    /// Forward, inverse.
-    columns: [CosineColumns; 2],
+    columns: CosineColumns,
     back: CosineBack,
 }
 
-impl Transform {
-    fn new(context: &Context, fields: Fields) -> Result<Self> {
-        let columns = |inverse| CosineColumns::new(context, fields, inverse);
-        Ok(Self {
-            fields,
-            rows: CosineRows::new(context, fields)?,
-            columns: [columns(false)?, columns(true)?],
-            back: CosineBack::new(context, fields)?,
-        })
+impl Inverse {
+    fn new(context: &Context, fields: Fields, grid: Grid, staged: bool) -> Result<Self> {
+        let columns = CosineColumns::new(context, fields, grid, staged)?;
+        Ok(Self { fields, columns, back: CosineBack::new(context, fields, staged)? })
     }
 }
 
 impl Subspace {
     /// Builds the kernels and tensors for frames of this many iterations of `batch` cloths on a grid, with `count`
-    /// directions: 3, or 4 with that of a network; at most `room` handles of a cloth react to them. Panics without iterations.
+    /// directions: 3, or 4 with that of a network; at most `room` handles of a cloth react to them. The operands of transforms are
+    /// `staged` in workgroup memory as the adapter's [`Tuning`](crate::gpu::Tuning) says. Panics without iterations.
     pub fn new(
         context: &Context,
         (count, room): (usize, usize),
-        iterations: usize,
+        (iterations, staged): (usize, bool),
         (grid, batch): (Grid, usize),
     ) -> Result<Self> {
         assert!(iterations > 0, "a frame has iterations");
         let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);
-        let fields = || zeros("subspace.fields", &Fields::SpaceAndNormal.shape(batch, grid));
         Ok(Self {
             grid,
             iterations,
             axes_kernel: SheetAxes::new(context)?,
             extrapolate: Extrapolate::new(context)?,
-            transforms: [
-                Transform::new(context, Fields::SpaceAndNormal)?,
-                Transform::new(context, Fields::Tangents)?,
+            rows: CosineRows::new(context, staged)?,
+            answer_rows: AnswerRows::new(context)?,
+            inverses: [
+                Inverse::new(context, Fields::SpaceAndNormal, grid, staged)?,
+                Inverse::new(context, Fields::Tangents, grid, staged)?,
             ],
-            across: StepAcross::new(context)?,
-            along: StepAlong::new(context)?,
+            steps: SheetSteps::new(context)?,
             step: SubspaceStep::new(context)?,
             tables: [table(context, grid.h)?, table(context, grid.w)?],
             mu: squared_frequencies(context, grid)?,
             axes: zeros("subspace.axes", &[batch, AXES, grid.particles()])?,
             reacting: Reacting::new(context, room, (grid, batch))?,
-            fields: [fields()?, fields()?],
-            rest: zeros("subspace.rest", &[batch, 3, grid.particles()])?,
+            z: zeros("subspace.modes", &Fields::SpaceAndNormal.shape(batch, grid))?,
+            y: zeros("subspace.steps", &Fields::shape_of_all(batch, grid))?,
             directions: zeros("subspace.directions", &directions::shape(count, batch, grid))?,
             earlier: zeros("subspace.earlier", &[batch, 3, grid.particles()])?,
             parts: zeros("subspace.parts", &curvature::parts_shape(batch, grid))?,
@@ -151,42 +146,30 @@ impl Subspace {
         self.reacting.write(context, model);
     }
 
-    /// Moves the iterate, which was evaluated, by the step of `iteration`, counted from 0. Twelve dispatches, and
+    /// Moves the iterate, which was evaluated, by the step of `iteration`, counted from 0. Nine dispatches, and
     /// another with a repulsion, and two with bodies.
     pub fn push(&self, schedule: &mut Schedule, objective: &Objective, iteration: usize) {
         assert!(iteration < self.iterations, "iteration {iteration} of {}", self.iterations);
         let (grid, iterate) = (objective.grid(), &objective.iterate);
-        let Self { axes, directions, reacting, rest, .. } = self;
-        let [space_and_normal, tangents] = &self.transforms;
+        let Self { axes, directions, reacting, z, y, tables: [_, along_row], .. } = self;
+        let [space_and_normal, tangents] = &self.inverses;
         let of_sheet = (iterate, axes, reacting);
-        let y = self.transform(schedule, objective, space_and_normal, &iterate.grad);
-        self.across.push(schedule, grid, of_sheet, &y, [directions, rest]);
-        let y = self.transform(schedule, objective, tangents, rest);
-        self.along.push(schedule, grid, of_sheet, [&y, directions]);
+        self.rows.push(schedule, grid, (iterate, axes), [along_row, z]);
+        self.apply(schedule, objective, space_and_normal, z);
+        let z = z.view(0, &tangents.fields.shape(objective.batch(), grid));
+        self.answer_rows.push(schedule, grid, of_sheet, [along_row, y, &z]);
+        self.apply(schedule, objective, tangents, &z);
+        self.steps.push(schedule, grid, of_sheet, [y, directions]);
         objective.local_model(schedule, directions, &self.parts);
         self.decide(schedule, objective, When::Iteration(iteration));
-        objective.confine(schedule, Some(&self.directions));
+        objective.confine(schedule, Some(directions));
     }
 
-    /// Multiplies fields of the `forces` [B, 3, n] by their inverse Hessian, and returns where they are. Four dispatches.
-    fn transform(
-        &self,
-        schedule: &mut Schedule,
-        objective: &Objective,
-        of: &Transform,
-        forces: &Tensor,
-    ) -> Tensor {
-        let (grid, iterate): (Grid, &Iterate) = (objective.grid(), &objective.iterate);
-        let Transform { fields, rows, columns: [forward, inverse], back } = of;
-        let [along_column, along_row] = &self.tables;
-        let shape = fields.shape(self.axes.shape()[0], grid);
-        let [z, other] = self.fields.each_ref().map(|tensor| tensor.view(0, &shape));
-        let of_columns = (objective.cloths(), along_column, &self.mu);
-        rows.push(schedule, grid, (iterate, forces), (&self.axes, along_row), &z);
-        forward.push(schedule, grid, of_columns, [&z, &other]);
-        inverse.push(schedule, grid, of_columns, [&other, &z]);
-        back.push(schedule, grid, along_row, [&z, &other]);
-        other
+    /// Multiplies fields by their inverse Hessian, from `z`, whose rows are transformed, to `y`. Two dispatches.
+    fn apply(&self, schedule: &mut Schedule, objective: &Objective, inverse: &Inverse, z: &Tensor) {
+        let (grid, [along_column, along_row]) = (objective.grid(), &self.tables);
+        inverse.columns.push(schedule, (objective.cloths(), along_column, &self.mu), [z, &self.y]);
+        inverse.back.push(schedule, grid, along_row, [z, &self.y]);
     }
 
     /// Ends a frame: takes the last step back if it has increased the energy. Two dispatches, without a repulsion.

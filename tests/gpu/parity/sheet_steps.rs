@@ -1,16 +1,16 @@
-//! The transforms and steps of a sheet together (`cosine_rows`, `cosine_columns`, `cosine_back`, `step_across` and `step_along`)
+//! The transforms and steps of a sheet together (`cosine_rows`, `answer_rows`, `cosine_columns`, `cosine_back` and `sheet_steps`)
 //! against the CPU path in double precision, and against dense sums.
 
 use super::cloth::{constants, field, iterate, model};
 use crate::common::{assert_close, cases, context, device, largest, noise, poisoned, read, run, tensor};
 use fnopt::cloth::modes::{Component, Reactions, SheetConstants};
-use fnopt::cloth::{Cloth, Grid, Model};
+use fnopt::cloth::{Body, Cloth, Grid, Model, Pose, Shape};
 use fnopt::cpu::optim::{Cosines, SheetSteps};
 use fnopt::kernels::cloth::sheet_axes::AXES;
 use fnopt::kernels::optim::cosine_columns::squared_frequencies;
 use fnopt::kernels::optim::cosine_rows::table;
 use fnopt::kernels::optim::{
-    CosineBack, CosineColumns, CosineRows, Fields, Reacting, StepAcross, StepAlong, directions,
+    self as kernels, AnswerRows, CosineBack, CosineColumns, CosineRows, Fields, Reacting, directions,
 };
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -70,7 +70,7 @@ fn fields_of(fields: Fields, marks: &[bool], forces: &[f32], axes: &[f32]) -> Ve
 
 /// Sides of all parities, shorter and longer than the tiles.
 fn grids() -> impl Iterator<Item = (Grid, usize)> {
-    cases().chain([(9, 31), (70, 8), (33, 65)].map(|(h, w)| (Grid { h, w }, 2)))
+    cases().chain([(9, 31), (150, 8), (33, 65)].map(|(h, w)| (Grid { h, w }, 2)))
 }
 
 /// What the transforms of a batch need.
@@ -83,7 +83,11 @@ struct Given {
 impl Given {
     /// Three vectors, a factor and two edges for each particle, whatever they are.
     fn new(grid: Grid, batch: usize) -> Self {
-        let model = model(grid, batch);
+        let mut model = model(grid, batch);
+        // The first cloth's contacts count in its modes, wherever the body is.
+        let pose = Pose { position: [0.0; 3], rotation: [0.0, 0.0, 0.0, 1.0] };
+        let body = Body { shape: Shape::Plane, pose, thickness: 0.2, friction: 0.4, present: true };
+        model.cloths[0].bodies = vec![body];
         let grad = field(&model, 1.0, 122);
         Self { grad, axes: noise(AXES * batch * grid.particles(), 131), model }
     }
@@ -97,42 +101,62 @@ impl Given {
 #[test]
 fn transforms_match_dense_sums() {
     let _turn = device();
-    for fields in [Fields::SpaceAndNormal, Fields::Tangents] {
-        let rows = CosineRows::new(context(), fields).unwrap();
-        let [forward, inversely] = [false, true].map(|i| CosineColumns::new(context(), fields, i).unwrap());
-        let back = CosineBack::new(context(), fields).unwrap();
+    for (fields, staged) in [Fields::SpaceAndNormal, Fields::Tangents]
+        .into_iter()
+        .flat_map(|fields| [(fields, false), (fields, true)])
+    {
+        let rows = CosineRows::new(context(), staged).unwrap();
+        let back = CosineBack::new(context(), fields, staged).unwrap();
+        let components = match fields {
+            Fields::SpaceAndNormal => {
+                &[Component::Space, Component::Space, Component::Space, Component::Normal][..]
+            }
+            Fields::Tangents => &[Component::FirstTangent, Component::SecondTangent],
+        };
         for (grid, batch) in grids() {
+            let columns = CosineColumns::new(context(), fields, grid, staged).unwrap();
             let given = Given::new(grid, batch);
             let n = grid.particles();
             let iterate = iterate(&given.model);
-            let forces = tensor("forces", &[batch, 3, n], &given.grad);
+            iterate.grad.write(context(), &given.grad);
             let axes = tensor("axes", &[batch, AXES, n], &given.axes);
             let [along_column, along_row] = [grid.h, grid.w].map(|n| table(context(), n).unwrap());
             let (mu, cloths) = (squared_frequencies(context(), grid).unwrap(), constants(&given.model));
-            let [z, other] = [(); 2].map(|()| poisoned("fields", &fields.shape(batch, grid)));
+            let z = poisoned("z", &fields.shape(batch, grid));
+            let y = poisoned("y", &Fields::shape_of_all(batch, grid));
+            let values: Vec<Vec<f64>> = (0..batch)
+                .flat_map(|b| {
+                    let own = (&given.grad[3 * b * n..][..3 * n], &given.axes[AXES * b * n..][..AXES * n]);
+                    fields_of(fields, &given.free(b), own.0, own.1)
+                })
+                .collect();
+            let transposed = transposed(&cosines(grid.w), grid.w);
+            let of_rows: Vec<f64> =
+                values.iter().flat_map(|values| product(values, &transposed, (grid.w, grid.w))).collect();
+            if fields == Fields::SpaceAndNormal {
+                run(|schedule| rows.push(schedule, grid, (&iterate, &axes), [&along_row, &z]));
+                let what = format!("rows of {batch} x {grid}");
+                assert_close(&what, &read(&z), &of_rows, (3e-6 * largest(&of_rows), 0.0));
+            } else {
+                z.write(context(), &of_rows.iter().map(|&v| v as f32).collect::<Vec<_>>());
+            }
             run(|schedule| {
-                rows.push(schedule, grid, (&iterate, &forces), (&axes, &along_row), &z);
-                forward.push(schedule, grid, (&cloths, &along_column, &mu), [&z, &other]);
-                inversely.push(schedule, grid, (&cloths, &along_column, &mu), [&other, &z]);
-                back.push(schedule, grid, &along_row, [&z, &other]);
+                columns.push(schedule, (&cloths, &along_column, &mu), [&z, &y]);
+                back.push(schedule, grid, &along_row, [&z, &y]);
             });
-            let components = match fields {
-                Fields::SpaceAndNormal => {
-                    &[Component::Space, Component::Space, Component::Space, Component::Normal][..]
-                }
-                Fields::Tangents => &[Component::FirstTangent, Component::SecondTangent],
-            };
-            let found = read(&other);
-            for b in 0..batch {
-                let own = (&given.grad[3 * b * n..][..3 * n], &given.axes[AXES * b * n..][..AXES * n]);
-                let values = fields_of(fields, &given.free(b), own.0, own.1);
-                for (f, (values, &component)) in values.iter().zip(components).enumerate() {
-                    let exact = inverse(grid, &given.model, b, component, values);
-                    let found = &found[(b * fields.count() + f) * n..][..n];
-                    // Low modes are much larger than the others, so that every element has their rounding.
-                    let what = format!("{component:?} of cloth {b} of {batch} x {grid}");
-                    assert_close(&what, found, &exact, (3e-6 * largest(&exact), 0.0));
-                }
+            let found = read(&y);
+            for (field, of_cloth) in values
+                .chunks_exact(fields.count())
+                .enumerate()
+                .flat_map(|(b, all)| all.iter().zip(components).enumerate().map(move |(f, of)| ((b, f), of)))
+            {
+                let ((b, f), (values, &component)) = (field, of_cloth);
+                let exact = inverse(grid, &given.model, b, component, values);
+                let first = if fields == Fields::Tangents { 4 } else { 0 };
+                let found = &found[(6 * b + first + f) * n..][..n];
+                // Low modes are much larger than the others, so that every element has their rounding.
+                let what = format!("{component:?} of cloth {b} of {batch} x {grid}");
+                assert_close(&what, found, &exact, (3e-6 * largest(&exact), 0.0));
             }
         }
     }
@@ -142,11 +166,10 @@ fn transforms_match_dense_sums() {
 fn steps_match() {
     let _turn = device();
     let [space_and_normal, tangents] = [Fields::SpaceAndNormal, Fields::Tangents];
-    let rows = [space_and_normal, tangents].map(|fields| CosineRows::new(context(), fields).unwrap());
-    let columns = [space_and_normal, tangents]
-        .map(|fields| [false, true].map(|i| CosineColumns::new(context(), fields, i).unwrap()));
-    let back = [space_and_normal, tangents].map(|fields| CosineBack::new(context(), fields).unwrap());
-    let (across, along) = (StepAcross::new(context()).unwrap(), StepAlong::new(context()).unwrap());
+    let rows = CosineRows::new(context(), false).unwrap();
+    let answer_rows = AnswerRows::new(context()).unwrap();
+    let back = [space_and_normal, tangents].map(|fields| CosineBack::new(context(), fields, false).unwrap());
+    let sheet_steps = kernels::SheetSteps::new(context()).unwrap();
     for (grid, batch) in grids() {
         let given = Given::new(grid, batch);
         let (model, n) = (&given.model, grid.particles());
@@ -159,24 +182,21 @@ fn steps_match() {
         let reacting = Reacting::new(context(), room, (grid, batch)).unwrap();
         reacting.write(context(), model);
         let all = poisoned("directions", &directions::shape(3, batch, grid));
-        let rest = poisoned("rest", &[batch, 3, n]);
+        let y = poisoned("y", &Fields::shape_of_all(batch, grid));
         let of_columns = (&cloths, &along_column, &mu);
         let of_sheet = (&iterate, &axes, &reacting);
         run(|schedule| {
-            for (which, fields) in [space_and_normal, tangents].into_iter().enumerate() {
-                let [z, other] = [(); 2].map(|()| poisoned("fields", &fields.shape(batch, grid)));
-                let forces = [&iterate.grad, &rest][which];
-                rows[which].push(schedule, grid, (&iterate, forces), (&axes, &along_row), &z);
-                columns[which][0].push(schedule, grid, of_columns, [&z, &other]);
-                columns[which][1].push(schedule, grid, of_columns, [&other, &z]);
-                back[which].push(schedule, grid, &along_row, [&z, &other]);
+            for (back, fields) in back.iter().zip([space_and_normal, tangents]) {
+                let columns = CosineColumns::new(context(), fields, grid, false).unwrap();
+                let z = poisoned("z", &fields.shape(batch, grid));
                 match fields {
-                    Fields::SpaceAndNormal => {
-                        across.push(schedule, grid, of_sheet, &other, [&all, &rest]);
-                    }
-                    Fields::Tangents => along.push(schedule, grid, of_sheet, [&other, &all]),
+                    Fields::SpaceAndNormal => rows.push(schedule, grid, (&iterate, &axes), [&along_row, &z]),
+                    Fields::Tangents => answer_rows.push(schedule, grid, of_sheet, [&along_row, &y, &z]),
                 }
+                columns.push(schedule, of_columns, [&z, &y]);
+                back.push(schedule, grid, &along_row, [&z, &y]);
             }
+            sheet_steps.push(schedule, grid, of_sheet, [&y, &all]);
         });
         let (mut spectral, mut rotated) = (vec![], vec![]);
         let mut unheld = [0.0_f64; 2];

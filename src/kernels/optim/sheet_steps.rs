@@ -1,4 +1,4 @@
-//! Host side of `shaders/optim/step_along.wgsl`.
+//! Host side of `shaders/optim/sheet_steps.wgsl`.
 
 use super::{Fields, Iterate, Reacting, directions};
 use crate::Result;
@@ -8,8 +8,8 @@ use crate::kernels::cloth::sheet_axes::AXES;
 use crate::kernels::{common, pieces, size};
 
 pub(crate) const SOURCE: Source = Source {
-    name: "step_along",
-    wgsl: include_str!("../../../shaders/optim/step_along.wgsl"),
+    name: "sheet_steps",
+    wgsl: include_str!("../../../shaders/optim/sheet_steps.wgsl"),
     appended: &[common::MARK, pieces::REACTING],
 };
 
@@ -21,20 +21,20 @@ struct Params {
     room: u32,
 }
 
-/// Adds the step along the sheet to the one across it.
+/// Turns transforms that came back into the steps of a sheet.
 #[derive(Clone, Debug)]
-pub struct StepAlong {
+pub struct SheetSteps {
     kernel: Kernel,
 }
 
-impl StepAlong {
+impl SheetSteps {
     /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Ends the co-rotated slot of `directions` ([`directions::shape`]) with `y` ([`Fields::Tangents`]) and the `axes` [B, 16, n] of
-    /// the sheet.
+    /// Sets the spectral and the co-rotated slot of `directions` ([`directions::shape`]) from `y` ([`Fields::shape_of_all`]) and the
+    /// `axes` [B, 16, n] of the sheet.
     pub fn push(
         &self,
         schedule: &mut Schedule,
@@ -45,7 +45,7 @@ impl StepAlong {
         let (samples, n) = iterate.samples_and_particles();
         let batch = samples / 3;
         assert_eq!((n, axes.shape()), (grid.particles(), &[batch, AXES, n][..]));
-        assert_eq!(y.shape(), Fields::Tangents.shape(batch, grid));
+        assert_eq!(y.shape(), Fields::shape_of_all(batch, grid));
         let room = reacting.room(batch, n);
         let slot = directions::slot(directions, iterate);
         let params = Params { particles: size(n), slot: size(slot), room: size(room) };
