@@ -1,6 +1,6 @@
 //! Suites that measure how well a solver generalises: the default scene with other motions, handles, speeds,
-//! grids, materials or numbers of iterations, or with repulsion, evaluated without another simulator as
-//! reference.
+//! grids, materials or numbers of iterations, or with repulsion, and the scenes that come with the library, evaluated without
+//! another simulator as reference.
 
 use super::gap::{timed_gap, track};
 use super::nearness::{LayerProximity, mean_and_fractions_above};
@@ -11,7 +11,9 @@ use crate::Device;
 use crate::cloth::{Grid, Material};
 use crate::cpu::Track;
 use crate::io::Trajectory;
-use crate::scene::{BuiltIn, Handles, Motion, Placement, RepulsionSettings, Scene, Setup, Start, Stiffness};
+use crate::scene::{
+    BuiltIn, Handles, Motion, Placement, RepulsionSettings, Scene, Setup, Start, Stiffness, named_scenes,
+};
 use crate::sim::Optimizer;
 use crate::statistics::median;
 use crate::{Error, Result};
@@ -43,6 +45,8 @@ pub enum Suite {
     /// Two placements of handles with which the sheet folds onto itself, without and with repulsion (the
     /// paper's Table 5).
     Repulsion,
+    /// The scenes that come with the library ([`named_scenes`]), apart from those with events.
+    Scenes,
 }
 
 /// A scene of a suite.
@@ -146,7 +150,7 @@ impl CaseScore {
 
 impl Suite {
     /// The suites by name.
-    pub const ALL: [(&str, Self); 7] = [
+    pub const ALL: [(&str, Self); 8] = [
         ("motions", Self::Motions),
         ("handles", Self::Handles),
         ("speeds", Self::Speeds),
@@ -154,6 +158,7 @@ impl Suite {
         ("materials", Self::Materials),
         ("iterations", Self::Iterations),
         ("repulsion", Self::Repulsion),
+        ("scenes", Self::Scenes),
     ];
 
     /// Returns the suite called `name`; `origin` says where the name comes from, for errors.
@@ -162,7 +167,7 @@ impl Suite {
         found.ok_or_else(|| Error::unknown(origin, "suite", name, Self::ALL.map(|(known, _)| known)))
     }
 
-    /// Returns the cases on a grid; [`Suite::Grids`] uses its own grids instead.
+    /// Returns the cases on a grid; [`Suite::Grids`] uses its own grids instead, and [`Suite::Scenes`] grids with as many rows.
     pub fn cases(self, grid: Grid) -> Result<Vec<Case>> {
         let mut cases: Vec<Case> = Vec::new();
         let mut push = |name: String, scene: Scene| cases.push(Case { name, scene, iterations: None });
@@ -223,10 +228,26 @@ impl Suite {
                     }
                 }
             }
+            Self::Scenes => {
+                for named in named_scenes() {
+                    let mut scene = named.scene()?;
+                    // Converged frames are those of a cloth that stays as it is.
+                    if scene.events.is_empty() {
+                        scene.regrid(with_rows(grid.h, scene.grid))?;
+                        push(named.name.to_owned(), scene);
+                    }
+                }
+                return Ok(cases);
+            }
         }
         cases.iter_mut().try_for_each(|case| case.scene.regrid(grid))?;
         Ok(cases)
     }
+}
+
+/// Returns the grid with this many rows whose proportions are nearest to those of `grid`.
+fn with_rows(rows: usize, grid: Grid) -> Grid {
+    Grid { h: rows, w: (rows * grid.w + grid.h / 2) / grid.h }
 }
 
 /// A case prepared for any number of solvers.

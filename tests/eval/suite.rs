@@ -90,4 +90,10 @@ fn cases_are_what_they_are_called() {
     assert_eq!(case(Suite::Iterations, "15 iterations").iterations, Some(15));
     assert!(case(Suite::Repulsion, "corner-center with").scene.repulsion.is_some());
     assert!(case(Suite::Repulsion, "corner-center without").scene.repulsion.is_none());
+
+    // Scenes keep their proportions; those with events are none, since converged frames are of a cloth that stays as it is.
+    let flag = case(Suite::Scenes, "flag").scene;
+    assert_eq!((flag.grid, flag.bodies.len()), (Grid { h: 32, w: 24 }, 1));
+    let scenes = Suite::Scenes.cases(Grid { h: 32, w: 32 }).unwrap();
+    assert!(scenes.len() > 5 && scenes.iter().all(|case| case.name != "twist"));
 }

@@ -102,8 +102,8 @@ pub struct Args {
     merge: Vec<PathBuf>,
     /// Instead of comparing with recorded trajectories, measure how far each solver generalises from the
     /// default scene: motions, handles, speeds, grids, materials or iterations; the suite repulsion measures
-    /// how close the layers of a folding sheet come to each other without and with it. The suite iterations also
-    /// tabulates the energy gap over the time of a frame, and the gaps of all solvers at equal time: at the time
+    /// how close the layers of a folding sheet come to each other without and with it, and the suite scenes runs those that
+    /// come with the program and have no events, with as many rows as --grid. The suite iterations also tabulates the energy gap over the time of a frame, and the gaps of all solvers at equal time: at the time
     /// that each takes for ten iterations. Prints tables; the score and a picture of each case are kept in --out
     /// and reused
     #[arg(long, value_name = "SUITE", conflicts_with_all = [
