@@ -55,11 +55,12 @@ override LANES: u32 = 128;
 
 // Rows of the product that are summed at once.
 const DEPTH: u32 = 16u;
-// One more than there are quads at most, so that neighbours in depth are in different banks.
-const QUADS_OF_ROWS: u32 = 33u;
+// One more than there are quads, so that neighbours in depth are in different banks.
+override QUADS_OF_ROWS: u32 = LANES / 4u + 1u;
 const QUADS_OF_COLUMNS: u32 = 5u;
 // Four rows of the table.
-var<workgroup> left: array<vec4f, DEPTH * QUADS_OF_ROWS>;
+override FACTORS: u32 = DEPTH * QUADS_OF_ROWS;
+var<workgroup> left: array<vec4f, FACTORS>;
 // Four columns of the field.
 var<workgroup> right: array<vec4f, DEPTH * QUADS_OF_COLUMNS>;
 
