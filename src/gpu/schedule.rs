@@ -96,7 +96,11 @@ impl Schedule {
         tensors: &[&Tensor],
         groups: [u32; 3],
     ) {
-        let bytes = bytemuck::bytes_of(params);
+        self.dispatch_bytes(kernel, bytemuck::bytes_of(params), tensors, groups);
+    }
+
+    /// The same for any type of parameters.
+    fn dispatch_bytes(&mut self, kernel: &Kernel, bytes: &[u8], tensors: &[&Tensor], groups: [u32; 3]) {
         let (expected, program) = (&kernel.bindings, &kernel.program);
         let name = program.name;
         assert_eq!(expected.len(), 1 + tensors.len(), "bindings of {name}: {expected:?}");

@@ -181,6 +181,16 @@ const BEND: usize = 2;
 pub(super) const INERTIA: usize = 3;
 pub(super) const EXTERNAL: usize = 4;
 
+/// What a row of particles adds. Its parts are one list, so that the code for each is compiled once: it is long, and there are
+/// thirty kinds of it, one per precision, width of registers and number of directions.
+#[derive(Clone, Copy)]
+enum Part<'a, T> {
+    /// Edges, their factor, and their row, step and count, see [`Edges::load`].
+    Edges(&'a [T], T, (usize, usize, usize)),
+    /// The angles between two rows of edges, and the place of their energy.
+    Angles((&'a [T], &'a [T]), (Angle<T>, usize)),
+}
+
 impl<T: Real, const K: usize> WithSimd for Band<'_, '_, T, K> {
     type Output = LocalModel;
 
@@ -198,14 +208,22 @@ impl<T: Real, const K: usize> WithSimd for Band<'_, '_, T, K> {
         let particles = particles::Directions { fields: directions, grad };
         let edges = Edges::<T, S, K> { simd, stored, trial, directions, kind: std::marker::PhantomData };
         let mut model = LocalModel::default();
-        if range.is_empty() {
-            return model;
-        }
-        edges.load((range.start, 1, w - 1), e);
-        if range.start + 1 < h {
-            edges.load((range.start, w, w), v);
-        }
-        for i in range {
+        let (first, end) = (range.start, range.end);
+        // The edges of a row are loaded ahead of the row before.
+        for next in first..end + usize::from(first < end) {
+            std::mem::swap(v, next_v);
+            std::mem::swap(e, next_e);
+            for (edges_of, (step, count), exists) in
+                [(&mut *next_e, (1, w - 1), next < h), (&mut *next_v, (w, w), next + 1 < h)]
+            {
+                if exists {
+                    edges.load((next, step, count), edges_of);
+                }
+            }
+            if next == first {
+                continue;
+            }
+            let i = next - 1;
             let zero = T::splat(simd, T::zero());
             let mut sums = Sums {
                 pairs: [zero; PAIRS],
@@ -214,28 +232,38 @@ impl<T: Real, const K: usize> WithSimd for Band<'_, '_, T, K> {
                 energies: [zero; 5],
             };
             particles.add_row::<S, K>(simd, trial, i, &mut sums);
-            let damping = Damping::of(simd, trial, (i, 1, w - 1), stored, before);
-            edges.stretch(e, (horizontal, damping), mask(i, Element::Right, 1), &mut sums);
-            let straight = mask(i, Element::StraightRight, 2);
-            edges.angles((horizontal_bend, BEND), (&e[1..], e), straight, &mut sums);
-            if i + 1 < h {
-                edges.load((i + 1, 1, w - 1), next_e);
-                let damping = Damping::of(simd, trial, (i, w, w), stored, before);
-                edges.stretch(v, (vertical, damping), mask(i, Element::Down, 0), &mut sums);
-                for right in [false, true] {
-                    for (lower, e) in [(false, &*e), (true, &*next_e)] {
-                        let mask = mask(i, Element::corner(lower, right), 1);
-                        edges.angles((shear, SHEAR), (&v[usize::from(right)..], e), mask, &mut sums);
+            let corner = |lower: bool, right: bool| {
+                let edges = (&v[usize::from(right)..], if lower { &next_e[..] } else { &e[..] });
+                (Element::corner(lower, right), 1, Part::Angles(edges, (shear, SHEAR)))
+            };
+            let parts = [
+                (Element::Right, 1, Part::Edges(e, horizontal, (i, 1, w - 1))),
+                (Element::StraightRight, 2, Part::Angles((&e[1..], e), (horizontal_bend, BEND))),
+                (Element::Down, 0, Part::Edges(v, vertical, (i, w, w))),
+                corner(false, false),
+                corner(true, false),
+                corner(false, true),
+                corner(true, true),
+                (Element::StraightDown, 0, Part::Angles((next_v, v), (vertical_bend, BEND))),
+            ];
+            // Of the last rows, some have nothing below them.
+            let count = if i + 2 < h {
+                8
+            } else if i + 1 < h {
+                7
+            } else {
+                2
+            };
+            for &(element, short, part) in &parts[..count] {
+                let mask = mask(i, element, short);
+                match part {
+                    Part::Edges(e, factor, row) => {
+                        let damping = Damping::of(simd, trial, row, stored, before);
+                        edges.stretch(e, (factor, damping), mask, &mut sums);
                     }
+                    Part::Angles(of, angle) => edges.angles(angle, of, mask, &mut sums),
                 }
             }
-            if i + 2 < h {
-                edges.load((i + 1, w, w), next_v);
-                let straight = mask(i, Element::StraightDown, 0);
-                edges.angles((vertical_bend, BEND), (next_v, v), straight, &mut sums);
-            }
-            std::mem::swap(v, next_v);
-            std::mem::swap(e, next_e);
             add_sums::<T, S, K>(simd, &sums, &mut model);
         }
         model
