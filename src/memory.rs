@@ -130,7 +130,7 @@ mod tests {
             assert!(error.contains("not enough memory: bytes: ") && error.contains(" GiB, of "), "{error}");
             // Each of them would fit.
             let part = (available / 3 * 2) as usize;
-            reserve(&mut Vec::<u8>::new(), part, "a part").unwrap();
+            check(part, "a part").unwrap();
             assert!(reserve_each([&mut Vec::<u8>::new(), &mut Vec::new()], part, "both parts").is_err());
         }
     }

@@ -85,6 +85,15 @@ pub fn evaluate(folder: &Path, more: &[&str]) -> Output {
     quiet(folder, &[&["evaluate"], &few[..], more].concat()).output().unwrap()
 }
 
+/// Copies the golden files of these names into a new folder.
+pub fn copy_golden(to: &Path, names: &[&str]) {
+    let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden");
+    std::fs::create_dir(to).unwrap();
+    for name in names.iter().map(|name| format!("{name}.safetensors")) {
+        std::fs::copy(from.join(&name), to.join(&name)).unwrap();
+    }
+}
+
 pub fn done(output: Output) -> (String, String) {
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
     (text(&output.stdout), text(&output.stderr))

@@ -1,7 +1,7 @@
 //! Adapters: tunings, the pipeline cache, half precision, and solvers that exist only on the CPU. GPU tests
 //! run on the software adapter, which the test suite needs anyway.
 
-use super::command::{command, done, evaluate, fnopt, json, quiet, text};
+use super::command::{command, copy_golden, done, evaluate, fnopt, json, quiet, text};
 use std::path::Path;
 
 /// Holds whether or not there is a GPU that `auto` would take.
@@ -52,7 +52,8 @@ fn a_tuning_is_stored_for_its_adapter_and_read_again() {
     let stored: serde_json::Value = serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap();
     assert_eq!(stored["tuning"], tuned["best"]);
 
-    let rollout = ["rollout", "--device", "gpu", "--frames", "2", "--no-pictures"];
+    let few = ["--frames", "2", "--grid", "8", "--solver", "gd", "--no-pictures"];
+    let rollout = [&["rollout", "--device", "gpu"], &few[..]].concat();
     let (_, log) = run(&rollout);
     assert!(!log.contains("not a tuning for"), "{log}");
     // A tuning that does not fit is ignored, with the reason.
@@ -134,7 +135,8 @@ fn pipelines_are_stored_for_their_adapter_and_read_again() {
 fn networks_run_in_half_precision() {
     let folder = tempfile::tempdir().unwrap();
     let on = ["--device", "gpu", "--adapter", "llvmpipe", "--precision", "f16"];
-    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden");
+    let golden = folder.path().join("golden");
+    copy_golden(&golden, &["network_weights", "network_forward_16x24", "update_rule_24x40"]);
     for (arguments, said) in [
         (&["rollout", "--frames", "3", "--grid", "12", "8", "--no-pictures", "--json"][..], "network in f16"),
         (&["bench", "--grid", "8", "--frames", "1", "--json"], "network in f16"),

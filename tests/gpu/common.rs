@@ -18,6 +18,13 @@ pub fn cases() -> impl Iterator<Item = (Grid, usize)> {
     GRIDS.into_iter().flat_map(|grid| BATCHES.map(|batch| (grid, batch)))
 }
 
+/// Returns some of [`cases`]: `count` grids, which go round with `turn`, with every batch size. Kernels are compiled anew for each
+/// pair of a tuning and a grid, so that tests of many tunings try each on some grids.
+pub fn cases_in_turn(turn: usize, count: usize) -> impl Iterator<Item = (Grid, usize)> {
+    let grids = (turn..turn + count).map(|place| GRIDS[place % GRIDS.len()]);
+    grids.flat_map(|grid| BATCHES.map(|batch| (grid, batch)))
+}
+
 /// Returns the device of all tests. Compiling the kernels for each test would take most of the time.
 pub fn context() -> &'static Context {
     static CONTEXT: LazyLock<Context> = LazyLock::new(|| {

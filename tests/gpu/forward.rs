@@ -101,15 +101,20 @@ fn forward(weights: &Weights, tuning: &Tuning, (grid, samples): (Grid, usize), f
     }
 }
 
+/// Returns every `of`-th tuning from number `turn` on: each network is tried with some, each tuning on some networks.
+fn in_turn(turn: usize, of: usize) -> impl Iterator<Item = Tuning> {
+    tunings().into_iter().skip(turn % of).step_by(of)
+}
+
 /// Asserts that every stage is accurate to 2e-5 of its largest magnitude, as for the golden files.
-fn check(weights: &Weights, (grid, samples): (Grid, usize)) {
+fn check(weights: &Weights, (grid, samples): (Grid, usize), tunings: impl Iterator<Item = Tuning>) {
     let config = weights.config;
     let fields: Vec<f32> =
         noise(samples * config.fields * grid.particles(), 120).iter().map(|v| 3.0 * v).collect();
     let mut host = Network::<f64>::new(weights, grid, samples).unwrap();
     let mut stages = Vec::new();
     host.forward_observed(&widened(&fields), &mut |stage, values| stages.push((stage, values.to_vec())));
-    for tuning in tunings() {
+    for tuning in tunings {
         let found = forward(weights, &tuning, (grid, samples), &fields);
         let close = |name: &str, found: &[f32], expected: &[f64]| {
             let what = format!("{name} {} {samples} x {grid}", tuning.channels);
@@ -134,11 +139,12 @@ fn folded_networks_match_the_host() {
     let (samples, wide) = (3, Grid { h: 8, w: 131 });
     let config = Config { lifting: 20, channels: 12, projection: 12, layers: 2, ..Config::default() };
     let grid = Grid { h: 31, w: 33 };
-    for (weights, grid) in [((**starter()).clone(), grid), (random(config), grid), (random(config), wide)] {
+    let cases = [((**starter()).clone(), grid), (random(config), grid), (random(config), wide)];
+    for (turn, (weights, grid)) in cases.into_iter().enumerate() {
         let fields: Vec<f32> = noise(samples * 3 * grid.particles(), 121).iter().map(|v| 3.0 * v).collect();
         let mut host = Network::<f64>::new(&weights, grid, samples).unwrap();
         host.forward(&widened(&fields));
-        for tuning in tunings() {
+        for tuning in in_turn(turn, 2) {
             let pass = submit_pass(&weights.folded(), &tuning, (grid, samples), (&fields, Keep::Nothing));
             let field = added_up(&pass.field, grid);
             assert_close("field", &field, host.field(), (2e-5 * largest(host.field()), 0.0));
@@ -157,8 +163,9 @@ fn folded_networks_match_the_host() {
 #[test]
 fn a_trained_network_matches_the_host() {
     let _turn = device();
-    for shape in [(Grid { h: 8, w: 8 }, 3), (Grid { h: 31, w: 33 }, 3), (Grid { h: 48, w: 32 }, 9)] {
-        check(starter(), shape);
+    let shapes = [(Grid { h: 8, w: 8 }, 3), (Grid { h: 31, w: 33 }, 3), (Grid { h: 48, w: 32 }, 9)];
+    for (turn, shape) in shapes.into_iter().enumerate() {
+        check(starter(), shape, in_turn(turn, 3));
     }
 }
 
@@ -167,8 +174,8 @@ fn a_trained_network_matches_the_host() {
 #[test]
 fn rows_longer_than_a_workgroup_match_the_host() {
     let _turn = device();
-    for w in [131, 1037] {
-        check(starter(), (Grid { h: 8, w }, 2));
+    for (turn, w) in [131, 1037].into_iter().enumerate() {
+        check(starter(), (Grid { h: 8, w }, 2), in_turn(turn, 2));
     }
 }
 
@@ -188,7 +195,7 @@ fn networks_of_other_sizes_match_the_host() {
     let others =
         [Config { layers: 1, ..odd }, Config { layers: 5, channels: 17, ..odd }, Config { fields: 1, ..odd }];
     for config in [odd].into_iter().chain(others) {
-        check(&random(config), (Grid { h: 13, w: 11 }, 4));
+        check(&random(config), (Grid { h: 13, w: 11 }, 4), tunings().into_iter());
     }
 }
 
@@ -251,18 +258,19 @@ fn grids_are_larger_than_a_binding_of_the_hidden_layer() {
 }
 
 /// Activations and weights are stored in 16 bits, eleven of them significant. Every output is accurate to a
-/// few of their roundings, with every tile, whether or not blocks transform their rows.
+/// few of their roundings, with every tile on one of the grids, whether or not blocks transform their rows.
 #[test]
 fn networks_stored_in_half_precision_are_near_the_host() {
     let _turn = device();
     let Some(half) = half() else { return };
-    for shape in [(Grid { h: 8, w: 8 }, 3), (Grid { h: 31, w: 33 }, 3), (Grid { h: 48, w: 32 }, 9)] {
+    let shapes = [(Grid { h: 8, w: 8 }, 3), (Grid { h: 31, w: 33 }, 3), (Grid { h: 48, w: 32 }, 9)];
+    for (turn, shape) in shapes.into_iter().enumerate() {
         let (grid, samples) = shape;
         let fields: Vec<f32> = noise(samples * 3 * grid.particles(), 120).iter().map(|v| 3.0 * v).collect();
         for weights in [(**starter()).clone(), starter().folded(), Weights::shipped().folded()] {
             let mut host = Network::<f64>::new(&weights, grid, samples).unwrap();
             host.forward(&widened(&fields));
-            for tuning in tunings() {
+            for tuning in in_turn(turn, 3) {
                 let pass = submit_pass_on(&half, &weights, &tuning, shape, (&fields, Keep::Nothing));
                 assert_eq!((pass.embedded.storage(), pass.field.storage()), (Storage::F16, Storage::F32));
                 let field = added_up(&pass.field, grid);

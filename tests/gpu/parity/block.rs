@@ -4,8 +4,8 @@
 use super::features::sums;
 use super::operator::{MODES, activate, activations, config, copies, dense, head, layer, turn};
 use crate::common::{
-    self, ROUNDING, assert_close, cases, context, device, largest, noise, poisoned, read, read_channels,
-    read_unpadded, run, tensor,
+    self, ROUNDING, assert_close, cases, cases_in_turn, context, device, largest, noise, poisoned, read,
+    read_channels, read_unpadded, run, tensor,
 };
 use fnopt::cloth::{Grid, Mark};
 use fnopt::gpu::{Tensor, Tuning};
@@ -105,11 +105,11 @@ fn of_rows(y: &[f32], modes_w: usize, grid: Grid) -> (Vec<f64>, Vec<f32>) {
 #[test]
 fn blocks_that_take_rows_match() {
     let _turn = device();
-    for tuning in tunings() {
+    let variants = [(true, false, MODES[1]), (true, true, MODES[0]), (false, true, MODES[0])];
+    for (turn, tuning) in tunings().into_iter().enumerate() {
         let tuning = Tuning { rows_in_blocks: true, ..tuning };
-        for (rows, pool, modes) in [(true, false, MODES[1]), (true, true, MODES[0]), (false, true, MODES[0])]
-        {
-            for (grid, batch) in cases() {
+        for (variant, (rows, pool, modes)) in variants.into_iter().enumerate() {
+            for (grid, batch) in cases_in_turn(turn + variant, 1) {
                 let config = config(modes, CHANNELS);
                 let (columns, w) = (2 * config.modes_w, padded(grid.w));
                 let size = size(grid, config.modes_w);
@@ -166,8 +166,8 @@ fn activations_in_texels_are_the_same() {
     let _turn = device();
     const HIDDEN: usize = 32;
     let [software, hardware, ..] = tunings();
-    for tuning in [software, hardware] {
-        for (grid, batch) in cases() {
+    for (turn, tuning) in [software, hardware].into_iter().enumerate() {
+        for (grid, batch) in cases_in_turn(2 * turn, 2) {
             let config = config(MODES[0], CHANNELS);
             let (columns, w) = (2 * config.modes_w, padded(grid.w));
             let (_, _, outer) = layer(CHANNELS, HIDDEN, tuning.channels);
@@ -266,8 +266,8 @@ fn liftings_match() {
     // Without staging, registers hold an embedded quad, always of five channels.
     let counts =
         |tuning: Tuning| if tuning.staged { vec![(tuning, 5), (tuning, 3)] } else { vec![(tuning, 5)] };
-    for (tuning, inputs) in tunings().into_iter().flat_map(counts) {
-        for (grid, batch) in cases() {
+    for (turn, (tuning, inputs)) in tunings().into_iter().flat_map(counts).enumerate() {
+        for (grid, batch) in cases_in_turn(turn, 2) {
             let config = config(MODES[0], CHANNELS);
             let (columns, w) = (2 * config.modes_w, padded(grid.w));
             let (x, x_tensor) = activations(batch, inputs, grid, 0.0);
@@ -321,8 +321,8 @@ fn liftings_of_fields_match() {
     let staged = tunings().into_iter().find(|tuning| tuning.staged).unwrap();
     // Several workgroups per row, each with some of the channels.
     let narrow = Tuning { rows_in_blocks: false, block_wide: 8, block_deep: 2, ..staged };
-    for tuning in tunings().into_iter().chain([narrow]) {
-        for (grid, batch) in cases() {
+    for (turn, tuning) in tunings().into_iter().chain([narrow]).enumerate() {
+        for (grid, batch) in cases_in_turn(turn, 2) {
             let config = config(MODES[0], CHANNELS);
             let (columns, w, n, samples) = (2 * config.modes_w, padded(grid.w), grid.particles(), 3 * batch);
             let iterate = Iterate::with_hidden(context(), batch, &vec![Mark::default(); batch * n]).unwrap();
