@@ -11,12 +11,12 @@ gcc libvulkan-dev mesa-vulkan-drivers).
 """
 
 import argparse
+import concurrent.futures
 import csv
 import glob
 import json
 import os
 import pathlib
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -67,25 +67,26 @@ def compiled(program, family, folder):
     drivers = glob.glob("/usr/share/vulkan/icd.d/radeon_icd*.json")
     if not drivers:
         sys.exit("no driver: Mesa's radeon_icd is missing")
+    own = folder / family
+    own.mkdir()
     environment = {
         **os.environ,
         "VK_DRIVER_FILES": drivers[0],
         "VK_ICD_FILENAMES": drivers[0],
         "VK_LAYER_PATH": str(folder),
         "VK_INSTANCE_LAYERS": "VK_LAYER_FNOPT_static",
-        "XDG_RUNTIME_DIR": str(folder),
+        "XDG_RUNTIME_DIR": str(own),
         "MESA_SHADER_CACHE_DISABLE": "true",
-        "FNOPT_CACHE": str(folder / "cache"),
+        "FNOPT_CACHE": str(own / "cache"),
         "RADV_FORCE_FAMILY": family,
     }
-    shutil.rmtree(folder / "training", ignore_errors=True)
-    (folder / "training.toml").write_text(TRAINING)
+    (own / "training.toml").write_text(TRAINING)
     pipelines = []
     for case, arguments in cases():
-        log = folder / "statistics.jsonl"
+        log = own / "statistics.jsonl"
         log.unlink(missing_ok=True)
         environment["STATISTICS"] = str(log)
-        run = subprocess.run([program, *arguments], cwd=folder, env=environment, capture_output=True, text=True)
+        run = subprocess.run([program, *arguments], cwd=own, env=environment, capture_output=True, text=True)
         if run.returncode:
             sys.exit(f"{family}, {case}: exit {run.returncode}\n{run.stderr}")
         pipelines += [(case, json.loads(line)) for line in log.read_text().splitlines()]
@@ -144,8 +145,10 @@ def main():
         layer = {"name": "VK_LAYER_FNOPT_static", "type": "GLOBAL", "library_path": str(library), "api_version": "1.3.0",
                  "implementation_version": "1", "description": "Statistics of compilers without their devices"}
         (folder / "layer.json").write_text(json.dumps({"file_format_version": "1.1.2", "layer": layer}))
-        for family in arguments.families.split(","):
-            pipelines = compiled(program, family, folder)
+        families = arguments.families.split(",")
+        with concurrent.futures.ThreadPoolExecutor() as pool:
+            of_families = list(pool.map(lambda family: compiled(program, family, folder), families))
+        for family, pipelines in zip(families, of_families):
             wrong += [f"{family}: {p['kernel']} in {case}: result {p['result']}" for case, p in pipelines if p["result"]]
             of_family = list(rows(family, [(case, p) for case, p in pipelines if not p["result"]]))
             for row in of_family:

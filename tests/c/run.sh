@@ -15,7 +15,7 @@ if command -v cbindgen >/dev/null; then
 fi
 
 # The shared library of this build: another one may have the same name there.
-cargo rustc --release --lib --features capi --crate-type cdylib --message-format json "$@" >"$scratch/messages"
+cargo rustc --release --lib --no-default-features --features capi --crate-type cdylib --message-format json "$@" >"$scratch/messages"
 library=$(python3 - "$scratch/messages" <<'END'
 import json, sys
 lines = (json.loads(line) for line in open(sys.argv[1]) if line.startswith("{"))
