@@ -4,10 +4,11 @@
     benches/static/check.py [--families vega10,gfx1100] [--program PATH] [--write]
 
 AMD's compiler in Mesa's Vulkan driver works without a device (RADV_FORCE_FAMILY). The program builds the pipelines of
-frames and of a training step there, over a layer that completes submissions without running them (layer.c). Fails if a
-kernel is refused, or if it spills more, keeps more in scratch memory or has fewer waves than compilers.csv says, which
---write replaces; what was not there may not spill. Needs gcc, the headers of Vulkan's loader and Mesa's drivers (Debian:
-gcc libvulkan-dev mesa-vulkan-drivers).
+frames and of a training step there, over a layer that completes submissions without running them (layer.c). Families of
+NVIDIA, such as sm_90, take the same kernels through CUDA's assembler (nvidia.py). Fails if a kernel is refused, or if it
+spills more, keeps more in scratch memory or has fewer waves than compilers.csv says, which --write replaces; what was not
+there may not spill. Needs gcc, the headers of Vulkan's loader and Mesa's drivers (Debian: gcc libvulkan-dev
+mesa-vulkan-drivers).
 """
 
 import argparse
@@ -21,11 +22,15 @@ import subprocess
 import sys
 import tempfile
 
+import nvidia
+
 HERE = pathlib.Path(__file__).resolve().parent
 TABLE = HERE / "compilers.csv"
 COLUMNS = ["family", "kernel", "workgroup", "lds_bytes", "vgprs", "waves", "spilled", "scratch_bytes", "instructions", "latency_cycles", "cases"]
 # Its own kernels validate indirect dispatches, which nobody here uses.
 OF_WGPU = {"main"}
+# The driver whose kernels NVIDIA's families take: those of any hardware.
+ANY = "gfx1100"
 # A step with a batch of the paper, and next to no validation.
 TRAINING = """
 steps = 1
@@ -78,8 +83,12 @@ def compiled(program, family, folder):
         "XDG_RUNTIME_DIR": str(own),
         "MESA_SHADER_CACHE_DISABLE": "true",
         "FNOPT_CACHE": str(own / "cache"),
-        "RADV_FORCE_FAMILY": family,
+        "RADV_FORCE_FAMILY": ANY if family in nvidia.FAMILIES else family,
     }
+    modules = own / "modules"
+    modules.mkdir()
+    if family in nvidia.FAMILIES:
+        environment["MODULES"] = str(modules)
     (own / "training.toml").write_text(TRAINING)
     pipelines = []
     for case, arguments in cases():
@@ -89,8 +98,14 @@ def compiled(program, family, folder):
         run = subprocess.run([program, *arguments], cwd=own, env=environment, capture_output=True, text=True)
         if run.returncode:
             sys.exit(f"{family}, {case}: exit {run.returncode}\n{run.stderr}")
-        pipelines += [(case, json.loads(line)) for line in log.read_text().splitlines()]
-    return [(case, pipeline) for case, pipeline in pipelines if pipeline["kernel"] not in OF_WGPU]
+        of_case = [json.loads(line) for line in log.read_text().splitlines()]
+        of_case = [pipeline for pipeline in of_case if pipeline["kernel"] not in OF_WGPU]
+        if family in nvidia.FAMILIES:
+            for pipeline in of_case:
+                spirv = modules / f"{pipeline['module']}.spv"
+                pipeline.update(nvidia.statistics(spirv, family, pipeline["workgroup"]))
+        pipelines += [(case, pipeline) for pipeline in of_case]
+    return pipelines
 
 
 def rows(family, pipelines):

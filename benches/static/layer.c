@@ -5,6 +5,8 @@
 // memory types, no fences and no semaphores, and cannot record commands; so the layer invents the former and drops the
 // latter, and every submission is complete at once. Results are zeros.
 //
+// If MODULES names a folder, the SPIR-V of each shader module goes there, as N.spv, and N into the line.
+//
 // One device at a time.
 #include <pthread.h>
 #include <stdio.h>
@@ -25,7 +27,7 @@ static FILE *statistics;
 
 #define BELOW(name) ((PFN_vk##name)next_of_device(device_below, "vk" #name))
 
-// What is known of a handle: the workgroup size of a shader module, or the value of a semaphore.
+// What is known of a handle: number and workgroup size of a shader module, or the value of a semaphore.
 typedef struct {
     uint64_t handle;
     uint64_t value;
@@ -104,13 +106,29 @@ static VKAPI_ATTR VkResult VKAPI_CALL own_CreateDevice(VkPhysicalDevice physical
     return result;
 }
 
+static void write_module(uint64_t number, const VkShaderModuleCreateInfo *info) {
+    const char *folder = getenv("MODULES");
+    if (!folder) return;
+    char path[4096];
+    snprintf(path, sizeof path, "%s/%llu.spv", folder, (unsigned long long)number);
+    FILE *file = fopen(path, "wb");
+    if (!file || fwrite(info->pCode, 1, info->codeSize, file) != info->codeSize || fclose(file)) {
+        fprintf(stderr, "layer.c: cannot write %s\n", path);
+        abort();
+    }
+}
+
 // Remembers the workgroup size, which the statistics lack: OpExecutionMode (16) LocalSize (17) x y z.
 static VKAPI_ATTR VkResult VKAPI_CALL own_CreateShaderModule(VkDevice device, const VkShaderModuleCreateInfo *info,
                                                              const VkAllocationCallbacks *a, VkShaderModule *module) {
     VkResult result = BELOW(CreateShaderModule)(device, info, a, module);
     if (result != VK_SUCCESS) return result;
     pthread_mutex_lock(&lock);
-    uint32_t *workgroup = about((uint64_t)*module)->workgroup;
+    static uint64_t modules;
+    Known *own = about((uint64_t)*module);
+    own->value = modules++;
+    write_module(own->value, info);
+    uint32_t *workgroup = own->workgroup;
     size_t words = info->codeSize / 4, length;
     for (size_t at = 5; at < words && (length = info->pCode[at] >> 16) > 0; at += length)
         if ((info->pCode[at] & 0xffff) == 16 && length == 6 && info->pCode[at + 2] == 17)
@@ -147,9 +165,10 @@ static VKAPI_ATTR VkResult VKAPI_CALL own_CreateComputePipelines(VkDevice device
         info.flags |= VK_PIPELINE_CREATE_CAPTURE_STATISTICS_BIT_KHR;
         VkResult result = BELOW(CreateComputePipelines)(device, VK_NULL_HANDLE, 1, &info, a, &pipelines[k]);
         pthread_mutex_lock(&lock);
-        const uint32_t *workgroup = about((uint64_t)info.stage.module)->workgroup;
-        fprintf(statistics, "{\"kernel\":\"%s\",\"result\":%d,\"workgroup\":[%u,%u,%u]", info.stage.pName, result,
-                workgroup[0], workgroup[1], workgroup[2]);
+        const Known *module = about((uint64_t)info.stage.module);
+        const uint32_t *workgroup = module->workgroup;
+        fprintf(statistics, "{\"kernel\":\"%s\",\"module\":%llu,\"result\":%d,\"workgroup\":[%u,%u,%u]", info.stage.pName,
+                (unsigned long long)module->value, result, workgroup[0], workgroup[1], workgroup[2]);
         if (result == VK_SUCCESS) print_statistics(device, pipelines[k]);
         fprintf(statistics, "}\n");
         fflush(statistics);
