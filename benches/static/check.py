@@ -86,8 +86,8 @@ def compiled(program, family, folder):
         "RADV_FORCE_FAMILY": ANY if family in nvidia.FAMILIES else family,
     }
     modules = own / "modules"
-    modules.mkdir()
     if family in nvidia.FAMILIES:
+        modules.mkdir()
         environment["MODULES"] = str(modules)
     (own / "training.toml").write_text(TRAINING)
     pipelines = []
