@@ -71,7 +71,9 @@
 //!    [`kernels::cloth::ContactReport`] says what they did, and [`kernels::cloth::ContactEnd`] stops particles that stick.
 //!
 //! A frame in a subspace ([`kernels::optim::Subspace`]) starts near the accelerations of the two frames before
-//! ([`kernels::optim::Extrapolate`]), and ends with a check that takes back a step that raised the energy.
+//! ([`kernels::optim::Extrapolate`]), and ends with a check that takes back a step that raised the energy. Its directions are turned into the
+//! sheet's own axes ([`kernels::cloth::SheetAxes`]), which are shorter where contacts hold it ([`kernels::cloth::ContactAxes`],
+//! [`kernels::cloth::LayerAxes`]).
 //!
 //! A training step ([`train::DeviceLoss`], [`cpu::train::Loss`]) is one such iteration, the energy at the new
 //! a, and the backward pass through [`kernels::optim::UpdateAdj`] and [`network::Backward`].

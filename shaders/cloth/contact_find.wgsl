@@ -118,9 +118,8 @@ fn contact_find(
         return;
     }
     let first = b * SLOTS * n + p;
-    var gaps: array<f32, 4>;
+    var gaps = vec4f(-1e30);
     for (var k = 0u; k < SLOTS; k++) {
-        gaps[k] = 1e30;
         contacts[first + k * n] = Contact();
     }
     if !is_free(marks[b * n + p]) {
@@ -138,19 +137,17 @@ fn contact_find(
         // The next free place, or that of the farthest.
         var place = used;
         if used == SLOTS {
-            place = 0u;
-            for (var k = 1u; k < SLOTS; k++) {
-                if gaps[k] > gaps[place] {
-                    place = k;
-                }
-            }
-            if gaps[place] <= found.predicted {
+            let farthest = max(max(gaps.x, gaps.y), max(gaps.z, gaps.w));
+            if farthest <= found.predicted {
                 continue;
             }
+            let first_of = gaps == vec4f(farthest);
+            place = select(select(select(3u, 2u, first_of.z), 1u, first_of.y), 0u, first_of.x);
         } else {
             used++;
         }
-        gaps[place] = found.predicted;
+        // Not by an index, which would put them in memory.
+        gaps = select(gaps, vec4f(found.predicted), vec4u(0u, 1u, 2u, 3u) == vec4u(place));
         contacts[first + place * n] = found.contact;
     }
 }

@@ -43,6 +43,8 @@ override SHORTEST: f32 = 0.1;
 override PART: u32 = 0;
 
 var<workgroup> partial: array<vec2f, 256>;
+// Of each pair, from the newest on; by an index, private ones would be in memory.
+var<workgroup> alpha: array<f32, MAX_HISTORY>;
 
 // Returns the sums over the workgroup, the same in every invocation.
 fn total(lane: u32, value: vec2f) -> vec2f {
@@ -70,7 +72,6 @@ fn lbfgs(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) grou
     var newest = HISTORY - 1u;
     var gamma = 1.0;
     var length = 1.0;
-    var alpha: array<f32, MAX_HISTORY>;
 
     // 1 / y.s of the newest pair.
     var newest_rho = 0.0;
@@ -142,12 +143,15 @@ fn lbfgs(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) grou
                 if k > 0u {
                     rho = pairs[book + 2u + slot];
                 }
-                alpha[k] = rho * sum.x;
+                let share = rho * sum.x;
                 if k == 0u {
                     gamma = 1.0 / (rho * sum.y);
                 }
+                if lane == 0u {
+                    alpha[k] = share;
+                }
                 for (var e = lane; e < n; e += LANES) {
-                    last[q + e] -= alpha[k] * history[s + n + e];
+                    last[q + e] -= share * history[s + n + e];
                 }
             }
         }
@@ -168,9 +172,10 @@ fn lbfgs(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) grou
         }
         return;
     } else {
-        for (var k = 0u; k < HISTORY; k++) {
-            alpha[k] = pairs[book + 2u + HISTORY + k];
+        if lane < HISTORY {
+            alpha[lane] = pairs[book + 2u + HISTORY + lane];
         }
+        workgroupBarrier();
     }
     for (var j = 0u; j < HISTORY; j++) {
         let k = HISTORY - 1u - j; // oldest first

@@ -66,6 +66,12 @@ fn contact_gradient(contact: Contact, y: vec3f) -> vec3f {
     return -3.0 * z * z * contact.gradient + contact.friction / max(length(slip), STICKING) * slip;
 }
 
+// Returns about how much it resists displacements: its second derivative across the plane and one of those along it.
+fn contact_resistance(contact: Contact, y: vec3f) -> f32 {
+    let barrier = 6.0 * contact_depth(contact, y) * dot(contact.gradient, contact.gradient);
+    return barrier + contact.friction / max(length(contact_slip(contact, y)), STICKING);
+}
+
 // Returns how to leave what is nearer than LEAST_GAP of the thickness; 0 where nothing is.
 fn contact_way_out(contact: Contact, y: vec3f) -> vec3f {
     let g = contact.gradient;

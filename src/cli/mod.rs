@@ -10,6 +10,7 @@ mod inspect;
 mod material;
 pub mod output;
 mod rollout;
+mod rollout_against;
 mod rollout_end;
 mod scenes;
 mod train;
@@ -300,6 +301,11 @@ impl SolverArgs {
         optimizer.weights().map_or(Ok(()), |weights| weights.config.check_grid(grid, &origin, "--grid"))
     }
 
+    /// The file of the weights, if one was given.
+    pub fn checkpoint(&self) -> Option<&Path> {
+        self.checkpoint.as_deref()
+    }
+
     /// Iterations per frame of the optimizer.
     pub fn iterations(&self, optimizer: &Optimizer) -> usize {
         self.iterations.map_or(optimizer.default_iterations(), |count| count as usize)
@@ -314,15 +320,16 @@ pub struct ListedSolver {
     pub iterations: Option<usize>,
 }
 
-/// Reads solvers given as `NAME` or `NAME:ITERATIONS`; `single-pass` is the published step, taken once. Fails if there
-/// is a file of weights that none of them needs.
-pub fn listed_solvers(texts: &[String], checkpoint: Option<&Path>) -> fnopt::Result<Vec<ListedSolver>> {
-    let mut weights: Option<Weights> = None;
-    let mut listed = Vec::new();
-    for text in texts {
-        let invalid = |name: &str, expected: &str| Err(Error::invalid("--solver", name, expected, text));
+impl ListedSolver {
+    /// Reads one given to `flag` as `NAME` or `NAME:ITERATIONS`; `single-pass` is the published step, taken once.
+    pub fn parse(
+        text: &str,
+        flag: &str,
+        weights: impl FnOnce() -> fnopt::Result<Weights>,
+    ) -> fnopt::Result<Self> {
+        let invalid = |name: &str, expected: &str| Err(Error::invalid(flag, name, expected, text));
         let (name, iterations) = match text.split_once(':') {
-            None => (text.as_str(), None),
+            None => (text, None),
             Some((name, n)) => match n.parse() {
                 Ok(n) => (name, Some(n)),
                 Err(_) => return invalid(name, "NAME or NAME:ITERATIONS"),
@@ -335,14 +342,23 @@ pub fn listed_solvers(texts: &[String], checkpoint: Option<&Path>) -> fnopt::Res
         };
         if let Some(n) = iterations.filter(|n| !(1..=MOST_ITERATIONS as usize).contains(n)) {
             let expected = format!("1 to {MOST_ITERATIONS} iterations");
-            return Err(Error::invalid("--solver", name, expected, n));
+            return Err(Error::invalid(flag, name, expected, n));
         }
+        let optimizer = Optimizer::named(known, flag, weights)?;
+        Ok(Self { name: name.to_owned(), optimizer, iterations })
+    }
+}
+
+/// Reads the solvers of `--solver` ([`ListedSolver::parse`]). Fails if there is a file of weights that none of them needs.
+pub fn listed_solvers(texts: &[String], checkpoint: Option<&Path>) -> fnopt::Result<Vec<ListedSolver>> {
+    let mut weights: Option<Weights> = None;
+    let mut listed = Vec::new();
+    for text in texts {
         let load = || match &weights {
             Some(weights) => Ok(weights.clone()),
             None => Ok(weights.insert(load_weights(checkpoint)?).clone()),
         };
-        let optimizer = Optimizer::named(known, "--solver", load)?;
-        listed.push(ListedSolver { name: name.to_owned(), optimizer, iterations });
+        listed.push(ListedSolver::parse(text, "--solver", load)?);
     }
     match checkpoint {
         Some(path) if weights.is_none() => {

@@ -2,6 +2,7 @@
 
 use super::device::InferenceArgs;
 use super::output::{output, progress, status};
+use super::rollout_against::Against;
 use super::rollout_end::{self, Kept, RolloutEnd};
 use super::{
     Ending, SolverArgs, go_on, interrupt_flag, load_scene, material, numbers, one_grid, writable_file,
@@ -59,6 +60,10 @@ pub struct Args {
     r#continue: Option<PathBuf>,
     #[command(flatten)]
     solver: SolverArgs,
+    /// Simulate the scene with another solver, too, on the CPU, and say how far apart the particles of both are in each frame, in
+    /// the report and beside the frames in npz; newton is the exact motion
+    #[arg(long, value_name = "NAME[:N]", conflicts_with = "continue")]
+    against: Option<String>,
     #[command(flatten)]
     device: InferenceArgs,
     /// Folder to write to
@@ -132,6 +137,8 @@ fn simulate(args: &Args) -> Result<Ending> {
         Some(file) => Some(RolloutEnd::read(file, &setup, &optimizer, args.kept(&setup))?),
         None => None,
     };
+    let against = args.against.as_deref();
+    let against = against.map(|text| Against::new(text, args.solver.checkpoint(), &setup)).transpose()?;
     let solver = (&optimizer, args.solver.iterations(&optimizer));
     let (mut simulator, device, line) = args.device.simulator(&setup.model, solver)?;
     let interrupted = interrupt_flag();
@@ -155,7 +162,7 @@ fn simulate(args: &Args) -> Result<Ending> {
     }
     let soundness = Soundness::after(script.clone(), &start);
     let mut run = Run::new(args, (&scene, soundness), &optimizer, (device.name(), recording));
-    (run.frames, run.last) = (last + 1, start);
+    (run.frames, run.last, run.against) = (last + 1, start, against);
     let bar = progress((setup.frames() - run.frames) as u64, "frames");
     let mut kept = Ok(());
     let played = simulator.play(&mut script, |_, frame| {
@@ -170,6 +177,9 @@ fn simulate(args: &Args) -> Result<Ending> {
         let state = (&simulator.state()?, &simulator.memory()?);
         let kept = (run.frames - 1, args.kept(&setup));
         rollout_end::keep(&mut run.recording, (&optimizer, &script), kept, state);
+    }
+    if let Some(against) = &run.against {
+        against.keep(&mut run.recording);
     }
     run.end(played.and(kept))
 }
@@ -353,6 +363,8 @@ struct Run<'a> {
     /// See [`Run::intersections`]; counted when first asked for, once all frames are there.
     intersections: OnceCell<Option<[usize; 2]>>,
     soundness: Soundness<'a>,
+    /// The other solver of `--against`.
+    against: Option<Against<'a>>,
 }
 
 /// How a simulation ended.
@@ -385,6 +397,7 @@ impl<'a> Run<'a> {
             per_frame: Vec::new(),
             intersections: OnceCell::new(),
             soundness,
+            against: None,
         }
     }
 
@@ -395,6 +408,9 @@ impl<'a> Run<'a> {
             self.recording.push(&positions, &velocities)?;
         }
         self.soundness.judge(&frame);
+        if let Some(against) = &mut self.against {
+            against.step(&frame);
+        }
         self.per_frame.push(FrameReport::new(&frame, 0, self.setup));
         (self.frames, self.last) = (frame.index + 1, frame.state);
         Ok(())
@@ -586,6 +602,7 @@ impl<'a> Run<'a> {
             "intersections": self.intersections().map(|[edges, pairs]| {
                 serde_json::json!({ "frame": self.frames - 1, "edges": edges, "edge_triangle_pairs": pairs })
             }),
+            "against": self.against.as_ref().map(Against::report),
             "files": names(written).chain([REPORT.into()]).collect::<Vec<_>>(),
             "frames": self.frames,
             "ms_per_frame": self.ms_per_frame(),
@@ -629,7 +646,7 @@ impl<'a> Run<'a> {
                 "energy_total": energy, "gradient_last": gradient, "stretch_largest": stretch,
                 "stretch_largest_free": self.verdict().stretch_largest_free, "gap_estimate": self.verdict().gap_estimate,
                 "sound": status != Status::NonFinite && self.verdict().is_sound(), "unsound": self.unsound(),
-                "files": files,
+                "against": self.against.as_ref().map(Against::report), "files": files,
             });
             writeln!(out, "{summary:#}")?;
             return Ok(());
@@ -656,6 +673,9 @@ impl<'a> Run<'a> {
         if let Some([edges, pairs]) = self.intersections() {
             let name = "intersections";
             writeln!(out, "{name:<15} {edges} edges pass through triangles, {pairs} times (last frame)")?;
+        }
+        if let Some(against) = &self.against {
+            writeln!(out, "against         {}", against.summary())?;
         }
         for path in written {
             writeln!(out, "wrote           {}", path.display())?;

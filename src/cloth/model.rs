@@ -114,6 +114,10 @@ impl SelfContact {
     /// Share of the thickness at which a pair counts as met on its way.
     pub(crate) const NEAR: f64 = 0.5;
 
+    /// What a particle has of the resistance of a pair, about: it is one of three or four. All of it would leave three times
+    /// as much of the gap of a sheet that hangs freely, this leaves as much as none.
+    pub(crate) const SHARE: f64 = 0.3;
+
     /// Fails if a number is out of range; `origin` and `field` name its source in the error.
     pub(crate) fn check(&self, origin: &str, field: &str) -> Result<()> {
         let refused = |part: &str, expected: &str, found: f64| {
@@ -190,18 +194,21 @@ impl Cloth {
     }
 
     /// Returns about how much curvature its contacts add to the energy along a particle's displacement, for each unit of
-    /// its mass: that of barrier and friction under the particle's own weight, on the body where it is most; 0 without
-    /// bodies. Optimizers take it into their Hessian of the sheet at rest.
+    /// its mass: that of barrier and friction under the particle's own weight, on the body or layer where it is most; 0 without
+    /// any. Optimizers take it into their Hessian of the sheet at rest.
     ///
     /// With the gravity G, a particle at rest has the gap `g = h - g sqrt(G h / 2)`, where the barrier's second derivative is
     /// `4 / g^2 sqrt(G h / 2)` with g near h, and friction has at most `mu G / eps`
-    /// ([`Contact`](super::terms::Contact)).
+    /// ([`Contact`](super::terms::Contact)). Between layers a particle has its share of that ([`SelfContact::SHARE`]).
     pub(crate) fn contact_curvature(&self) -> f64 {
         let weight = self.gravity.iter().map(|g| g * g).sum::<f64>().sqrt();
-        let of_body = |Body { thickness: h, friction, .. }: &Body| {
+        let of_contact = |h: f64, friction: f64| {
             4.0 / (h * h) * (0.5 * weight * h).sqrt() + friction * weight / Contact::STICKING
         };
-        self.bodies.iter().filter(|body| body.present).map(of_body).fold(0.0, f64::max)
+        let present = self.bodies.iter().filter(|body| body.present);
+        let of_bodies = present.map(|body| of_contact(body.thickness, body.friction));
+        let of_layers = |own: SelfContact| SelfContact::SHARE * of_contact(own.thickness, own.friction);
+        of_bodies.chain(self.self_contact.map(of_layers)).fold(0.0, f64::max)
     }
 }
 

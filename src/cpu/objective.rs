@@ -322,6 +322,12 @@ impl<T: Real> Objective<T> {
         terms
     }
 
+    /// Shortens the axes [16, H, W] of cloth `b` where contacts hold its particles at the current trial.
+    pub fn shorten_axes(&self, b: usize, axes: &mut [T]) {
+        let cloth = self.cloth_len();
+        self.trial.contacts[b].shorten_axes(&self.trial.shift[b * cloth..][..cloth], axes);
+    }
+
     /// Returns what the bodies of cloth `b` do at the current trial.
     pub fn body_stats(&self, state: &State<T>, control: &Control<T>, b: usize) -> Vec<BodyStats> {
         let (trial, model) = (self.trial.cloth(state, b), &self.trial.model);

@@ -405,6 +405,45 @@ fn a_rollout_goes_on_to_the_same_bits() {
     }
 }
 
+/// Each scene of several is compared with another solver's frames: exactly alike with the same, and near the exact motion with twenty iterations.
+#[test]
+fn rollouts_are_compared_with_another_solver() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, mask) in [("full", ""), ("round", r#", "mask": "disc""#)] {
+        let scene = format!(r#"{{"grid": [12, 12], "handles": [[6, 1], [6, 10]], "frames": 8{mask}}}"#);
+        std::fs::write(folder.path().join(format!("{name}.json")), scene).unwrap();
+    }
+    let run = |solver: &[&str], against: &str| {
+        let scenes =
+            ["rollout", "full.json", "round.json", "--device", "cpu", "--no-pictures", "--against", against];
+        let output = fnopt(folder.path(), &[&scenes[..], solver].concat());
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        assert_eq!(text(&output.stdout).matches(&format!("mm from {against} on average")).count(), 2);
+        ["full", "round"]
+            .map(|name| json(&folder.path().join(format!("out/{name}/report.json")))["against"].clone())
+    };
+    let numbers = |values: &serde_json::Value| -> Vec<f64> {
+        values.as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect()
+    };
+    for against in run(&["--solver", "spectral", "--iterations", "4"], "spectral:4") {
+        assert_eq!(numbers(&against["per_frame"]["mean_m"]), [0.0; 7]);
+        assert_eq!(against["largest_m"], 0.0);
+    }
+    for (name, against) in ["full", "round"].iter().zip(run(&["--solver", "spectral"], "newton")) {
+        let [mean, largest] = ["mean_m", "largest_m"].map(|which| numbers(&against["per_frame"][which]));
+        assert!(mean.len() == 7 && mean.iter().zip(&largest).all(|(mean, largest)| mean <= largest));
+        assert!(mean.iter().all(|&mean| 0.0 < mean && mean < 1e-4), "{name}: {mean:?}");
+        let file = folder.path().join(format!("out/{name}/rollout.npz"));
+        let kept = fnopt::io::read_npz_array(&file, "against_largest_m").unwrap().unwrap();
+        assert_eq!(kept.iter().copied().collect::<Vec<_>>(), largest);
+    }
+    let again = ["rollout", "--against", "newton", "--continue", "out/full/rollout.npz"];
+    refused(fnopt(folder.path(), &again), &["--against", "--continue"]);
+    let folder = tempfile::tempdir().unwrap();
+    refused_cleanly(folder.path(), &["rollout", "--against", "nwton"], &["--against", "did you mean newton"]);
+    refused_cleanly(folder.path(), &["rollout", "--against", "spectral:0"], &["--against", "1 to"]);
+}
+
 /// A sheet that swings through itself is told to, and one that hangs has no intersections.
 #[test]
 fn intersections_are_counted_on_request() {

@@ -5,8 +5,9 @@ use fnopt::cloth::terms::Contact;
 use fnopt::cloth::{
     Body, Cloth, Control, DistanceField, EnergyTerms, Grid, Material, Model, Pose, Shape, State, Sweep,
 };
-use fnopt::cpu::cloth::{Approach, Contacts, CurvatureRows};
+use fnopt::cpu::cloth::{AXES, Approach, Contacts, CurvatureRows};
 use fnopt::cpu::{Objective, Real, Solver};
+use fnopt::settings::HOLDING;
 use fnopt::sim::{FrameStats, Optimizer};
 use glam::{DMat3, DQuat, DVec3};
 use std::f64::consts::PI;
@@ -82,6 +83,11 @@ fn contacts_have_these_derivatives() {
         let off = (change - found).to_cols_array().iter().fold(0.0, |most: f64, v| most.max(v.abs()));
         let size = found.to_cols_array().iter().fold(1.0, |most: f64, v| most.max(v.abs()));
         assert!(off < 1e-6 * size, "{k}: {change} {found}");
+        let n = normal.normalize();
+        let slip = (y - drift).reject_from(n);
+        let along = n.cross(slip).normalize();
+        let resistance = n.dot(found * n) + along.dot(found * along);
+        assert!((contact.resistance(y) - resistance).abs() < 1e-12 * size, "{k}: {resistance}");
     }
 }
 
@@ -105,6 +111,9 @@ fn contacts_are_the_plain_ones() {
     let shift: Vec<f64> = v.iter().zip(noise(3 * n, 9)).map(|(v, d)| v + 0.01 * d).collect();
     let mut accelerations = vec![0.0; 3 * n];
     contacts.add_accelerations(&marks, &shift, &mut accelerations);
+    let axes = noise(AXES * n, 10);
+    let mut shortened = axes.clone();
+    contacts.shorten_axes(&shift, &mut shortened);
     let mut energy = 0.0;
     for p in (0..n).filter(|&p| p != 3) {
         let mass = grid.mass(p / grid.w, p % grid.w) / n as f64;
@@ -119,6 +128,12 @@ fn contacts_are_the_plain_ones() {
         let found = -mass * DVec3::new(accelerations[p], accelerations[n + p], accelerations[2 * n + p]);
         let gradient = plain.gradient(y);
         assert!((found - gradient).length() < 1e-12 * gradient.length(), "{p}: {found} {gradient}");
+        let share = (1.0 + HOLDING * n as f64 * plain.resistance(y)).powf(-0.5);
+        for field in 0..AXES {
+            let (was, is) = (axes[field * n + p], shortened[field * n + p]);
+            let wanted = if field < 9 { share * was } else { was };
+            assert!((is - wanted).abs() < 1e-14, "field {field} of {p}: {is}, not {wanted}");
+        }
     }
     assert!((contacts.energy(&shift) - energy).abs() < 1e-12 * energy, "{energy}");
     assert!(accelerations[3] == 0.0, "a handle");

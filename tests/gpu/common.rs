@@ -1,6 +1,7 @@
 //! Helpers shared by the GPU tests: one device for all, tensors that reveal unwritten elements, comparisons.
 
 use fnopt::cloth::Grid;
+use fnopt::cpu;
 use fnopt::gpu::{AdapterChoice, AdapterKind, Context, Schedule, Sharing, Storage, Tensor, Tuning};
 use fnopt::kernels::padded;
 use std::sync::{Condvar, LazyLock, Mutex};
@@ -212,6 +213,21 @@ pub fn narrowed(values: &[f64]) -> Vec<f32> {
 /// Returns the largest magnitude.
 pub fn largest(values: &[f64]) -> f64 {
     values.iter().fold(0.0, |m: f64, v| m.max(v.abs()))
+}
+
+/// Checks the axes [B, 16, n] that a device has shortened where contacts hold particles, given what they were and the host's
+/// objective at the same accelerations.
+pub fn assert_shortened(what: &str, host: &cpu::Objective<f64>, (axes, found): (&[f32], &[f32]), atol: f64) {
+    let mut wanted = widened(axes);
+    let batch = host.model().batch();
+    let of_cloth = wanted.len() / batch;
+    for (b, axes) in wanted.chunks_exact_mut(of_cloth).enumerate() {
+        host.shorten_axes(b, axes);
+    }
+    let changed =
+        wanted.iter().zip(axes).filter(|(wanted, axis)| wanted.abs() < 0.99 * f64::from(axis.abs()));
+    assert!(changed.count() > 0, "{what}: nothing is held");
+    assert_close(&format!("axes of {what}"), found, &wanted, (atol, 0.0));
 }
 
 /// Asserts that `|found - expected| <= atol + rtol |expected|` for every element; NaN fails.

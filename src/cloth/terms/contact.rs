@@ -82,6 +82,12 @@ impl Contact {
         -3.0 * z * z * self.gradient + self.friction / slip.length().max(Self::STICKING) * slip
     }
 
+    /// Returns about how much both resist displacements: their second derivative across the plane and one of those along it.
+    pub fn resistance(self, y: DVec3) -> f64 {
+        let barrier = 6.0 * self.depth(y) * self.gradient.length_squared();
+        barrier + self.friction / self.slip(y).length().max(Self::STICKING)
+    }
+
     /// Returns their second derivatives with respect to y.
     pub fn hessian(self, y: DVec3) -> DMat3 {
         let outer = |v: DVec3| DMat3::from_cols(v * v.x, v * v.y, v * v.z);

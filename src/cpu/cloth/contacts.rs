@@ -8,7 +8,7 @@ use super::{Coupling, Hessian, Trial};
 use crate::cloth::terms::{self, Elastic};
 use crate::cloth::{Body, BodyStats, Cloth, Grid, LayerStats, MAX_CONTACTS, Mark, Sweep};
 use crate::cpu::Real;
-use crate::settings::PARTINGS;
+use crate::settings::{HOLDING, PARTINGS};
 use crate::sim::MAX_DIRECTIONS;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -122,6 +122,31 @@ impl<T: Real> Contacts<T> {
             layers.add_curvature(directions, shift.len(), &mut curvature);
         }
         curvature
+    }
+
+    /// Shortens the axes of the sheet, the first nine of `axes` [16, H, W] ([`sheet_axes`](super::sheet_axes)), at the particles that
+    /// contacts hold at the displacements `shift` [3, H, W] ([`HOLDING`]).
+    pub fn shorten_axes(&self, shift: &[T], axes: &mut [T]) {
+        let n = shift.len() / 3;
+        let mut shorten = |resistances: Vec<T>| {
+            let holding = T::of(HOLDING * n as f64);
+            let shares: Vec<T> =
+                resistances.into_iter().map(|r| (T::one() + holding * r).sqrt().recip()).collect();
+            for field in axes.chunks_exact_mut(n).take(9) {
+                field.iter_mut().zip(&shares).for_each(|(v, &share)| *v = *v * share);
+            }
+        };
+        if !self.found.is_empty() {
+            let mut resistances = vec![T::zero(); n];
+            for contact in &self.found {
+                let own = contact.touch.resistance(at(shift, n, contact.particle));
+                resistances[contact.particle] = resistances[contact.particle] + own;
+            }
+            shorten(resistances);
+        }
+        if let Some(layers) = &self.layers {
+            shorten(layers.resistances(n));
+        }
     }
 
     /// Moves particles out that their velocities `v` and accelerations `a` [3, H, W] lead nearer to a body's plane than

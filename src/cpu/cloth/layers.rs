@@ -132,6 +132,18 @@ impl<T: Real> Layers<T> {
         }
     }
 
+    /// Returns what the pairs of each of `n` particles resist to it.
+    pub fn resistances(&self, n: usize) -> Vec<T> {
+        let mut resistances = vec![T::zero(); n];
+        for (pair, y) in self.active() {
+            let resistance = pair.touch.resistance(y);
+            for (p, weight) in pair.particles.into_iter().zip(pair.weights) {
+                resistances[p] = resistances[p] + weight * weight * resistance;
+            }
+        }
+        resistances
+    }
+
     /// Returns their energy.
     pub fn energy(&self) -> f64 {
         self.active().map(|(pair, y)| pair.touch.energy(y).f64()).sum()

@@ -89,6 +89,14 @@ impl<T: Real> Touch<T> {
         curved
     }
 
+    /// Returns [`terms::Contact::resistance`].
+    pub fn resistance(&self, y: [T; 3]) -> T {
+        let slip = self.slip(y);
+        let length = dot(slip, slip).sqrt().max(T::of(terms::Contact::STICKING));
+        let barrier = T::of(6.0) * self.depth(y) * dot(self.gradient, self.gradient);
+        barrier + self.friction / length
+    }
+
     /// Returns the distance above the plane at the displacement y \[edges\].
     pub fn gap(&self, thickness: f64, y: [T; 3]) -> f64 {
         let z = self.offset - dot(self.gradient, y);

@@ -122,14 +122,16 @@ impl<T: Real> Subspace<T> {
             a.fill(T::zero());
         }
         objective.move_to_trial(state, control);
-        let starts = state.x.par_chunks_exact(len).zip(objective.trial.shift.par_chunks_exact(len));
-        let starts = starts.zip(objective.trial.marks.par_chunks_exact(len / 3));
-        let starts = starts.zip(&objective.model().cloths);
-        self.cloths.par_iter_mut().zip(starts).for_each(|(own, (((x, shift), marks), cloth))| {
-            if own.steps_of_sheet.is_some() {
-                sheet_axes((grid, marks), (cloth.material, cloth.damping), x, shift, &mut own.axes);
-            }
-        });
+        {
+            let objective = &*objective;
+            let each = self.cloths.par_iter_mut().enumerate().filter(|(_, own)| own.steps_of_sheet.is_some());
+            each.for_each(|(b, own)| {
+                let trial = objective.trial.cloth(state, b);
+                let of = (trial.material, trial.damping);
+                sheet_axes((grid, trial.marks), of, trial.x, trial.shift, &mut own.axes);
+                objective.shorten_axes(b, &mut own.axes);
+            });
+        }
         objective.confine(state, |_, _, _| ());
         self.start_warm(objective, (state, control));
     }

@@ -1,7 +1,8 @@
 //! The contacts of cloths with bodies on a device.
 
 use super::{
-    Contact, ContactConfine, ContactCurvature, ContactEnd, ContactFind, ContactReport, Trial, contact_report,
+    Contact, ContactAxes, ContactConfine, ContactCurvature, ContactEnd, ContactFind, ContactReport, Trial,
+    contact_report,
 };
 use crate::Result;
 use crate::cloth::{Body, Control, DistanceField, MAX_CONTACTS, Model, Shape, Sweep};
@@ -120,6 +121,7 @@ pub struct Contacts {
     /// Shape [B, slots n, 12].
     contacts: Tensor,
     find: ContactFind,
+    axes: ContactAxes,
     contact: Contact,
     curvature: ContactCurvature,
     confine: ContactConfine,
@@ -139,6 +141,7 @@ impl Contacts {
             report: zeros("contact report", &[batch, count, contact_report::VALUES])?,
             contacts: zeros("contacts", &[batch, slots * n, CONTACT])?,
             find: ContactFind::new(context, slots)?,
+            axes: ContactAxes::new(context, slots)?,
             contact: Contact::new(context, slots)?,
             curvature: ContactCurvature::new(context, slots)?,
             confine: ContactConfine::new(context, slots)?,
@@ -169,6 +172,11 @@ impl Contacts {
     /// Appends the search for the contacts of a frame that begins at `trial`. One dispatch.
     pub fn find(&self, schedule: &mut Schedule, trial: Trial<'_>) {
         self.find.push(schedule, trial, [&self.bodies, &self.fields, &self.contacts]);
+    }
+
+    /// Appends what shortens the axes of the sheet where bodies hold it ([`ContactAxes::push`]). One dispatch.
+    pub fn shorten_axes(&self, schedule: &mut Schedule, trial: Trial<'_>, axes: &Tensor) {
+        self.axes.push(schedule, trial, [&self.contacts, axes]);
     }
 
     /// Appends the accelerations by contacts and their energy ([`Contact::push`]). One dispatch.

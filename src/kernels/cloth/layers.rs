@@ -4,8 +4,8 @@ use super::layer_find::Finds;
 use super::layer_motion::Way;
 use super::layer_press::Tells;
 use super::{
-    CellScan, Cells, LayerCurvature, LayerFind, LayerForce, LayerList, LayerMotion, LayerOrder, LayerPart,
-    LayerPlace, LayerPress, LayerReport, Trial, buckets, layer_report,
+    CellScan, Cells, LayerAxes, LayerCurvature, LayerFind, LayerForce, LayerList, LayerMotion, LayerOrder,
+    LayerPart, LayerPlace, LayerPress, LayerReport, Trial, buckets, layer_report,
 };
 use crate::Result;
 use crate::cloth::Grid;
@@ -105,6 +105,7 @@ pub struct Layers {
     scan: CellScan,
     list: LayerList,
     order: LayerOrder,
+    axes: LayerAxes,
     press: LayerPress,
     force: LayerForce,
     part: LayerPart,
@@ -136,6 +137,7 @@ impl Layers {
             scan: CellScan::new(context)?,
             list: LayerList::new(context)?,
             order: LayerOrder::new(context)?,
+            axes: LayerAxes::new(context)?,
             press: LayerPress::new(context)?,
             force: LayerForce::new(context)?,
             part: LayerPart::new(context)?,
@@ -167,6 +169,11 @@ impl Layers {
         }
         self.list.push(schedule, trial.grid, pairs, counts);
         self.order.push(schedule, trial.grid, pairs, counts);
+    }
+
+    /// Appends what shortens the axes of the sheet where other layers hold it ([`LayerAxes::push`]). One dispatch.
+    pub fn shorten_axes(&self, schedule: &mut Schedule, trial: Trial<'_>, axes: &Tensor) {
+        self.axes.push(schedule, trial, &self.pairs, axes);
     }
 
     /// Appends the accelerations between layers and their energy ([`LayerForce::push`]). Two dispatches.

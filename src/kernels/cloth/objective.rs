@@ -244,6 +244,17 @@ impl Objective {
         }
     }
 
+    /// Appends what shortens `axes` [B, 16, n] where contacts hold the particles at `iterate.a`. One dispatch with bodies, and
+    /// one with self-contact.
+    pub fn shorten_axes(&self, schedule: &mut Schedule, axes: &Tensor) {
+        if let Some(contacts) = &self.contacts {
+            contacts.shorten_axes(schedule, self.trial(), axes);
+        }
+        if let Some(layers) = &self.layers {
+            layers.shorten_axes(schedule, self.trial(), axes);
+        }
+    }
+
     /// Appends the gradient at `iterate.a`, with partial sums of its squares and of those of the last step
     /// ([`Gradient::push`]). One dispatch, six more with a repulsion, another with bodies and two with self-contact.
     pub fn evaluate(&self, schedule: &mut Schedule, sums: &Tensor) {

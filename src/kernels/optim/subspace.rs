@@ -109,12 +109,13 @@ impl Subspace {
     }
 
     /// Starts a frame from `iterate.base`, with the last frame's acceleration still in `iterate.a`: it
-    /// becomes the last step, and 0, or with bodies what keeps the particles out of them. Two dispatches, and another with
-    /// bodies.
+    /// becomes the last step, and 0, or with bodies what keeps the particles out of them. Two dispatches, two more with
+    /// bodies and one with self-contact.
     pub fn begin(&self, schedule: &mut Schedule, objective: &Objective) {
         let of = (objective.cloths(), &objective.iterate, &objective.x);
         let to = [&self.axes, &self.directions, &self.earlier];
         self.axes_kernel.push(schedule, objective.grid(), of, to);
+        objective.shorten_axes(schedule, &self.axes);
         self.extrapolate.push(schedule, objective.grid(), &objective.iterate, &self.directions);
         objective.confine(schedule, None);
     }

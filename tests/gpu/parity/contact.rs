@@ -1,10 +1,10 @@
 //! The kernels of contacts against the CPU path: what is found at the start of a frame, shows in all that follows.
 
 use crate::cloths::among_bodies;
-use crate::common::{assert_close, context, device, largest, poisoned, read, run, tensor};
+use crate::common::{assert_close, assert_shortened, context, device, largest, poisoned, read, run, tensor};
 use fnopt::cloth::{Body, Control, Grid, Model, Pose, Shape, State, Sweep};
 use fnopt::cpu;
-use fnopt::cpu::cloth::CurvatureRows;
+use fnopt::cpu::cloth::{AXES, CurvatureRows};
 use fnopt::kernels::cloth::{Begin, ClothContacts, Fields, Objective, Room, curvature, gradient};
 use fnopt::kernels::optim::directions;
 
@@ -46,9 +46,12 @@ fn compare(what: &str, (model, state, control): &(Model, State<f32>, Control<f32
     let all = tensor("directions", &shape, &padded);
     let parts = poisoned("parts", &curvature::parts_shape(batch, grid));
     let sums = poisoned("sums", &[3 * batch, gradient::parts(grid), 2]);
+    let long = crate::common::noise(batch * AXES * n, 31);
+    let axes = tensor("axes", &[batch, AXES, n], &long);
     run(|schedule| {
         device.begin_frame(schedule, Begin::Kept).unwrap();
         device.confine(schedule, None);
+        device.shorten_axes(schedule, &axes);
         device.evaluate(schedule, &sums);
         device.local_model(schedule, &all, &parts);
         device.energy(schedule);
@@ -70,6 +73,7 @@ fn compare(what: &str, (model, state, control): &(Model, State<f32>, Control<f32
         host.grad(),
         (digits * largest(host.grad()), 0.0),
     );
+    assert_shortened(what, &host, (&long, &read(&axes)), digits);
     let found = read(&parts);
     let report = read(device.contact_report().unwrap());
     for b in 0..batch {

@@ -1,12 +1,13 @@
 //! The kernels of contacts of a cloth with itself against the CPU path: the search for pairs, and what follows from them.
 
 use crate::common::{
-    assert_close, context, device, largest, narrowed, noise, poisoned, read, run, tensor, widened,
+    assert_close, assert_shortened, context, device, largest, narrowed, noise, poisoned, read, run, tensor,
+    widened,
 };
 use crate::touching::{field, folded, touching};
 use fnopt::cloth::{Control, Grid, Model, SelfContact, State};
 use fnopt::cpu;
-use fnopt::cpu::cloth::{Approach, CurvatureRows, Layers};
+use fnopt::cpu::cloth::{AXES, Approach, CurvatureRows, Layers};
 use fnopt::kernels::cloth::{Begin, ClothLayers, MOST_PAIRS, Objective, Pairs, Room, curvature, gradient};
 use fnopt::kernels::optim::directions;
 use std::collections::BTreeSet;
@@ -56,14 +57,18 @@ fn compare(what: &str, case: &(Model, State<f32>, Control<f32>), a: &[f32], digi
     let all = tensor("directions", &shape, &padded);
     let parts = poisoned("parts", &curvature::parts_shape(batch, grid));
     let sums = poisoned("sums", &[3 * batch, gradient::parts(grid), 2]);
+    let long = noise(batch * AXES * n, 31);
+    let axes = tensor("axes", &[batch, AXES, n], &long);
     let frame = |schedule: &mut _| {
         device.begin_frame(schedule, Begin::Kept).unwrap();
+        device.shorten_axes(schedule, &axes);
         device.evaluate(schedule, &sums);
         device.local_model(schedule, &all, &parts);
         device.part_layers(schedule);
         device.energy(schedule);
     };
     run(frame);
+    let shortened = read(&axes);
     let (found, report) = (read(&parts), read(device.layer_report().unwrap()));
     let (grad, moved) = (read(&device.iterate.grad), read(&device.iterate.a));
     // Nothing of the first run may be left.
@@ -78,6 +83,7 @@ fn compare(what: &str, case: &(Model, State<f32>, Control<f32>), a: &[f32], digi
     host.begin_frame(&expected, &control);
     host.set_accelerations(&widened(&a));
     host.evaluate(&expected, &control);
+    assert_shortened(what, &host, (&long, &shortened), digits);
     let atol = (digits * largest(host.grad()), 0.0);
     assert_close(&format!("gradient of {what}"), &grad, host.grad(), atol);
     for b in 0..batch {
