@@ -168,9 +168,7 @@ fn tells_of_side(b: u32, face: u32, side: u32, origin: u32, share: f32, separati
 // Whether a triangle is the one that tells of its corner: if no edge from there leads nearer, one of those around it.
 fn tells_of_corner(b: u32, face: u32, corner: u32, origin: u32, share: f32, separation: vec3f) -> bool {
     let w = params.columns;
-    let corners = corners_of(face, w);
-    // Not by an index, which would put them in memory.
-    let p = select(select(corners.z, corners.y, corner == 1u), corners.x, corner == 0u);
+    let p = corners_of(face, w)[corner];
     let up = p / w > 0u;
     let down = p / w + 1u < params.rows;
     let left = p % w > 0u;
@@ -344,6 +342,7 @@ fn between(b: u32, p: u32, q: u32) {
 // Returns where the edges of a patch end, to the right, down and along the diagonal; where they begin if there is none.
 fn end_of_edge(b: u32, p: u32, k: u32) -> u32 {
     let corners = patch_corners(b, p);
+    // Not by an index, which would put them in memory.
     let end_of_it = select(select(corners.w, corners.z, k == 1u), corners.y, k == 0u);
     return select(p, end_of_it, k < 2u || is_whole(b, p));
 }

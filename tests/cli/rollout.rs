@@ -410,7 +410,7 @@ fn a_rollout_goes_on_to_the_same_bits() {
 fn rollouts_are_compared_with_another_solver() {
     let folder = tempfile::tempdir().unwrap();
     for (name, mask) in [("full", ""), ("round", r#", "mask": "disc""#)] {
-        let scene = format!(r#"{{"grid": [12, 12], "handles": [[6, 1], [6, 10]], "frames": 8{mask}}}"#);
+        let scene = format!(r#"{{"grid": [12, 12], "handles": [[1, 3], [1, 8]], "frames": 8{mask}}}"#);
         std::fs::write(folder.path().join(format!("{name}.json")), scene).unwrap();
     }
     let run = |solver: &[&str], against: &str| {
@@ -432,7 +432,7 @@ fn rollouts_are_compared_with_another_solver() {
     for (name, against) in ["full", "round"].iter().zip(run(&["--solver", "spectral"], "newton")) {
         let [mean, largest] = ["mean_m", "largest_m"].map(|which| numbers(&against["per_frame"][which]));
         assert!(mean.len() == 7 && mean.iter().zip(&largest).all(|(mean, largest)| mean <= largest));
-        assert!(mean.iter().all(|&mean| 0.0 < mean && mean < 1e-4), "{name}: {mean:?}");
+        assert!(mean.iter().all(|&mean| 0.0 < mean && mean < 1e-3), "{name}: {mean:?}");
         let file = folder.path().join(format!("out/{name}/rollout.npz"));
         let kept = fnopt::io::read_npz_array(&file, "against_largest_m").unwrap().unwrap();
         assert_eq!(kept.iter().copied().collect::<Vec<_>>(), largest);

@@ -557,8 +557,11 @@ fn a_new_state_holds_its_handles() {
 fn half_precision_closes_the_gap_as_far() {
     let _turn = device();
     let Some(half) = half() else { return };
-    let setup = Scene::default().setup().unwrap();
-    let controls = (1..70).map(|frame| setup.control(frame));
+    // From its first frame on this sheet moves.
+    let mut scene = Scene::released();
+    scene.regrid(Grid { h: 24, w: 24 }).unwrap();
+    let setup = scene.setup().unwrap();
+    let controls = (1..46).map(|frame| setup.control(frame));
     let track = Track::new(&setup.model, setup.start.clone(), controls).unwrap();
     let optimizer = Optimizer::paper(Weights::shipped());
     let median_on = |on: &Device| {
