@@ -92,29 +92,29 @@ fn volume(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
 }
 
 /// A box along the axes.
-#[derive(Clone, Copy)]
-struct Bounds {
-    low: DVec3,
-    high: DVec3,
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Bounds {
+    pub low: DVec3,
+    pub high: DVec3,
 }
 
 impl Bounds {
     /// The box around nothing, which meets no other.
-    const NONE: Self = Self { low: DVec3::INFINITY, high: DVec3::NEG_INFINITY };
+    pub const NONE: Self = Self { low: DVec3::INFINITY, high: DVec3::NEG_INFINITY };
 
     /// Returns the box around some places.
-    fn around(places: &[DVec3]) -> Self {
+    pub fn around(places: &[DVec3]) -> Self {
         places.iter().fold(Self::NONE, |all, place| all.with(&Self { low: *place, high: *place }))
     }
 
     /// Returns the box around two boxes.
-    fn with(&self, other: &Self) -> Self {
+    pub fn with(&self, other: &Self) -> Self {
         Self { low: self.low.min(other.low), high: self.high.max(other.high) }
     }
 
     /// Whether what fills two boxes may cross. It may not if they only touch: where an edge passes through a triangle
     /// is in the middle of both, hence along each axis truly between the ends of each, or of one that is flat there.
-    fn meets(&self, other: &Self) -> bool {
+    pub fn meets(&self, other: &Self) -> bool {
         (self.low.cmplt(other.high) & other.low.cmplt(self.high)).all()
     }
 }

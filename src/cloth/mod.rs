@@ -21,6 +21,7 @@ pub use distance_field::{DistanceField, MeshFault};
 pub use embedding::Embedding;
 pub use energy::EnergyTerms;
 pub use grid::{Grid, MAX_GRID, MIN_GRID};
+pub(crate) use intersections::Bounds;
 pub use intersections::{Intersection, intersections};
 pub use mask::{Mark, Mask, Role};
 pub(crate) use model::cast;

@@ -100,7 +100,7 @@ pub struct SelfContact {
 }
 
 impl SelfContact {
-    /// Most pairs of parts near each other for each particle, in any part of a cloth; a crumpled one has some twenty.
+    /// Most pairs of parts near each other for each particle of a cloth, on average; a crumpled one has some twenty.
     pub const MOST_PAIRS: usize = 128;
 
     /// How far beyond the thickness a pair of parts is still a contact of the frame \[edges\]: by as much an optimizer

@@ -221,7 +221,7 @@ impl<T: Real> Objective<T> {
                     0.0
                 }
             };
-            trial.contacts[b].add_accelerations(before.marks, before.shift, total_acceleration);
+            trial.contacts[b].add_accelerations(before.marks, total_acceleration);
         });
         let of_cloth = |b: usize, grad: &mut [T], norms: &mut [f64], rows: &mut GradientRows<T>| {
             let mut of_gradient = trial.cloth(state, b);
@@ -277,7 +277,7 @@ impl<T: Real> Objective<T> {
         if let Some(of_cloth) = self.trial.model.cloths[b].repulsion {
             terms.repulsion = repulsion(&trial, of_cloth, &mut vec![T::zero(); self.cloth_len()]);
         }
-        terms.contact = self.trial.contacts[b].energy(trial.shift);
+        terms.contact = self.trial.contacts[b].energy();
         terms
     }
 
@@ -301,8 +301,8 @@ impl<T: Real> Objective<T> {
         if let Some(of_cloth) = self.trial.model.cloths[b].repulsion {
             add(repulsion_curvature(&trial, of_cloth, directions));
         }
-        add(self.trial.contacts[b].curvature(trial.shift, directions));
-        model.energy.contact = self.trial.contacts[b].energy(trial.shift);
+        add(self.trial.contacts[b].curvature(directions, self.cloth_len()));
+        model.energy.contact = self.trial.contacts[b].energy();
         model
     }
 
@@ -318,14 +318,13 @@ impl<T: Real> Objective<T> {
         if let Some(of_cloth) = self.trial.model.cloths[b].repulsion {
             terms.repulsion = repulsion(&trial, of_cloth, &mut vec![T::zero(); self.cloth_len()]);
         }
-        terms.contact = self.trial.contacts[b].energy(trial.shift);
+        terms.contact = self.trial.contacts[b].energy();
         terms
     }
 
     /// Shortens the axes [16, H, W] of cloth `b` where contacts hold its particles at the current trial.
     pub fn shorten_axes(&self, b: usize, axes: &mut [T]) {
-        let cloth = self.cloth_len();
-        self.trial.contacts[b].shorten_axes(&self.trial.shift[b * cloth..][..cloth], axes);
+        self.trial.contacts[b].shorten_axes(axes);
     }
 
     /// Returns what the bodies of cloth `b` do at the current trial.

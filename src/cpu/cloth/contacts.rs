@@ -4,7 +4,7 @@
 use super::layers::Layers;
 use super::touch::Touch;
 use super::vector::{add, at, dot, scaled};
-use super::{Coupling, Hessian, Trial};
+use super::{AXES, Coupling, Hessian, Trial};
 use crate::cloth::terms::{self, Elastic};
 use crate::cloth::{Body, BodyStats, Cloth, Grid, LayerStats, MAX_CONTACTS, Mark, Sweep};
 use crate::cpu::Real;
@@ -40,6 +40,8 @@ pub struct Approach<'a, T> {
 pub struct Contacts<T> {
     /// Those with bodies, in the order of the particles.
     found: Vec<Found<T>>,
+    /// Numbers of those that press or rub at the current displacements, and the displacements of their particles.
+    active: Vec<(usize, [T; 3])>,
     /// Those with itself.
     layers: Option<Layers<T>>,
 }
@@ -68,24 +70,35 @@ impl<T: Real> Contacts<T> {
         };
         let tasks: Vec<Vec<Found<T>>> = particles.par_chunks(TASK).map(of_task).collect();
         let layers = start.cloth.self_contact.map(|settings| Layers::find(&start, settings));
-        Self { found: tasks.into_iter().flatten().collect(), layers }
+        Self { found: tasks.into_iter().flatten().collect(), active: Vec::new(), layers }
     }
 
-    /// Moves the particles by `shift` [3, H, W]; what follows is to be asked there.
+    /// Moves the particles by `shift` [3, H, W]: what follows is there.
     pub fn move_to(&mut self, shift: &[T]) {
+        let n = shift.len() / 3;
+        self.active.clear();
+        self.active.extend(self.found.iter().enumerate().filter_map(|(k, contact)| {
+            let y = at(shift, n, contact.particle);
+            contact.touch.acts(y).then_some((k, y))
+        }));
         if let Some(layers) = &mut self.layers {
             layers.move_to(shift);
         }
     }
 
+    /// Iterates over those with bodies that press or rub, with how far their particles have moved.
+    fn active(&self) -> impl Iterator<Item = (&Found<T>, [T; 3])> {
+        self.active.iter().map(|&(k, y)| (&self.found[k], y))
+    }
+
     /// Subtracts their gradient, divided by the weights of the particles with these `marks`, from the accelerations [3, H, W]: to
     /// the gradient of the other terms a contact is an external force.
-    pub fn add_accelerations(&self, marks: &[Mark], shift: &[T], accelerations: &mut [T]) {
+    pub fn add_accelerations(&self, marks: &[Mark], accelerations: &mut [T]) {
         let n = marks.len();
-        for contact in &self.found {
+        for (contact, y) in self.active() {
             let p = contact.particle;
             let per_weight = T::of(n as f64 / marks[p].mass());
-            let gradient = contact.touch.gradient(at(shift, n, p));
+            let gradient = contact.touch.gradient(y);
             (0..3).for_each(|c| {
                 accelerations[c * n + p] = accelerations[c * n + p] - per_weight * gradient[c];
             });
@@ -95,22 +108,19 @@ impl<T: Real> Contacts<T> {
         }
     }
 
-    /// Returns their energy at the displacements `shift` [3, H, W].
-    pub fn energy(&self, shift: &[T]) -> f64 {
-        let n = shift.len() / 3;
-        let of_bodies: f64 =
-            self.found.iter().map(|contact| contact.touch.energy(at(shift, n, contact.particle)).f64()).sum();
+    /// Returns their energy.
+    pub fn energy(&self) -> f64 {
+        let of_bodies: f64 = self.active().map(|(contact, y)| contact.touch.energy(y).f64()).sum();
         of_bodies + self.layers.as_ref().map_or(0.0, Layers::energy)
     }
 
-    /// Returns their second derivatives along each pair of `directions` [K, 3, H, W].
-    pub fn curvature(&self, shift: &[T], directions: &[T]) -> [[f64; MAX_DIRECTIONS]; MAX_DIRECTIONS] {
-        let n = shift.len() / 3;
-        let count = directions.len() / shift.len();
+    /// Returns their second derivatives along each pair of `directions` [K, 3, H, W], of this length each.
+    pub fn curvature(&self, directions: &[T], len: usize) -> [[f64; MAX_DIRECTIONS]; MAX_DIRECTIONS] {
+        let (n, count) = (len / 3, directions.len() / len);
         let mut curvature = [[0.0; MAX_DIRECTIONS]; MAX_DIRECTIONS];
-        for contact in &self.found {
-            let along = |k: usize| at(&directions[k * shift.len()..], n, contact.particle);
-            let curved = contact.touch.curved(at(shift, n, contact.particle));
+        for (contact, y) in self.active() {
+            let along = |k: usize| at(&directions[k * len..], n, contact.particle);
+            let curved = contact.touch.curved(y);
             for (i, sums) in curvature.iter_mut().enumerate().take(count) {
                 let product = curved.times(along(i));
                 for (j, sum) in sums.iter_mut().enumerate().take(count) {
@@ -119,15 +129,15 @@ impl<T: Real> Contacts<T> {
             }
         }
         if let Some(layers) = &self.layers {
-            layers.add_curvature(directions, shift.len(), &mut curvature);
+            layers.add_curvature(directions, len, &mut curvature);
         }
         curvature
     }
 
     /// Shortens the axes of the sheet, the first nine of `axes` [16, H, W] ([`sheet_axes`](super::sheet_axes)), at the particles that
-    /// contacts hold at the displacements `shift` [3, H, W] ([`HOLDING`]).
-    pub fn shorten_axes(&self, shift: &[T], axes: &mut [T]) {
-        let n = shift.len() / 3;
+    /// contacts hold ([`HOLDING`]).
+    pub fn shorten_axes(&self, axes: &mut [T]) {
+        let n = axes.len() / AXES;
         let mut shorten = |resistances: Vec<T>| {
             let holding = T::of(HOLDING * n as f64);
             let shares: Vec<T> =
@@ -136,10 +146,10 @@ impl<T: Real> Contacts<T> {
                 field.iter_mut().zip(&shares).for_each(|(v, &share)| *v = *v * share);
             }
         };
-        if !self.found.is_empty() {
+        if !self.active.is_empty() {
             let mut resistances = vec![T::zero(); n];
-            for contact in &self.found {
-                let own = contact.touch.resistance(at(shift, n, contact.particle));
+            for (contact, y) in self.active() {
+                let own = contact.touch.resistance(y);
                 resistances[contact.particle] = resistances[contact.particle] + own;
             }
             shorten(resistances);

@@ -20,17 +20,15 @@ const LEAST: f64 = std::f64::consts::FRAC_1_SQRT_2;
 pub(super) struct FlatTiles {
     /// Which patches lie around each tile; `None` of one that is not flat.
     around: Vec<Option<Around>>,
-    /// The tile of each particle.
-    tile: Vec<u32>,
-    /// The row and the column of each particle.
-    at: Vec<[u32; 2]>,
+    /// Tiles in a row.
+    across: usize,
 }
 
 /// A rectangle of patches, which are named by their first particles.
 #[derive(Clone, Debug)]
 struct Around {
-    rows: Range<u32>,
-    columns: Range<u32>,
+    rows: Range<usize>,
+    columns: Range<usize>,
 }
 
 impl FlatTiles {
@@ -70,19 +68,12 @@ impl FlatTiles {
             // The last particles of the grid have no cells of their own.
             let patches = |cells: Range<usize>, len: usize| {
                 let end = if cells.end + 1 == len { len } else { cells.end };
-                cells.start as u32..end as u32
+                cells.start..end
             };
             let [rows, columns] = Self::rectangle(grid, tile);
             is_flat(tile).then(|| Around { rows: patches(rows, grid.h), columns: patches(columns, grid.w) })
         };
-        let at = |p: usize| [p / grid.w, p % grid.w].map(|index| index as u32);
-        let across = grid.w.div_ceil(TILE);
-        let tile = |p: usize| (p / grid.w / TILE * across + p % grid.w / TILE) as u32;
-        Self {
-            around: (0..count).into_par_iter().map(around).collect(),
-            tile: (0..grid.particles()).map(tile).collect(),
-            at: (0..grid.particles()).map(at).collect(),
-        }
+        Self { around: (0..count).into_par_iter().map(around).collect(), across: grid.w.div_ceil(TILE) }
     }
 
     /// Returns the cells, by their first rows and columns, of a tile and around it.
@@ -94,15 +85,24 @@ impl FlatTiles {
         [range(tile / across, grid.h), range(tile % across, grid.w)]
     }
 
-    /// Returns whether the patch of a particle, the parts in the cell behind it, lies around the tile of `p`, as a function of the
-    /// other: then nothing of it is near anything of the patch of `p`.
+    /// Returns tiles none of which is flat.
+    #[cfg(test)]
+    pub fn none(grid: Grid) -> Self {
+        let across = grid.w.div_ceil(TILE);
+        Self { around: vec![None; grid.h.div_ceil(TILE) * across], across }
+    }
+
+    /// Whether nothing in a rectangle of patches, each the parts in the cell behind its particle, is near anything in another one: the
+    /// first lies in one tile, the other around that. Of both, `[[row, column]; 2]` are the first patch and the last one.
     #[inline]
-    pub fn around(&self, p: usize) -> impl Fn(usize) -> bool {
-        let around = self.around[self.tile[p] as usize].as_ref();
-        move |q| {
-            let [row, column] = self.at[q];
-            around.is_some_and(|around| around.rows.contains(&row) && around.columns.contains(&column))
-        }
+    pub fn keep_apart(&self, one: [[usize; 2]; 2], other: [[usize; 2]; 2]) -> bool {
+        let [first, last] = one.map(|[row, column]| [row / TILE, column / TILE]);
+        let holds = |around: &Around| {
+            let has =
+                |[row, column]: [usize; 2]| around.rows.contains(&row) && around.columns.contains(&column);
+            other.into_iter().all(has)
+        };
+        first == last && self.around[first[0] * self.across + first[1]].as_ref().is_some_and(holds)
     }
 }
 
@@ -137,11 +137,15 @@ mod tests {
         let still = tiles(flat, |_, _| DVec3::ZERO);
         assert!(still.around.iter().all(Option::is_some));
         // The second tile is that of the columns 8 to 15.
-        let around = still.around(9);
-        assert!(around(5) && around(18) && around(9 + 10 * 30));
-        assert!(!around(4) && !around(19) && !around(9 + 11 * 30));
+        let apart = |one: [usize; 2], other: [usize; 2]| still.keep_apart([one; 2], [other; 2]);
+        assert!(apart([0, 9], [0, 5]) && apart([0, 9], [0, 18]) && apart([0, 9], [10, 9]));
+        assert!(!apart([0, 9], [0, 4]) && !apart([0, 9], [0, 19]) && !apart([0, 9], [11, 9]));
         // At the borders there is nothing beyond.
-        assert!(still.around(0)(0) && still.around(29 + 18 * 30)(29 + 19 * 30));
+        assert!(apart([0, 0], [0, 0]) && apart([18, 29], [19, 29]));
+        // Of rectangles, all of the one in a tile and all of the other around it.
+        let whole = [[0, 8], [7, 15]];
+        assert!(still.keep_apart(whole, whole) && still.keep_apart(whole, [[0, 5], [10, 18]]));
+        assert!(!still.keep_apart([[0, 8], [7, 16]], whole) && !still.keep_apart(whole, [[0, 4], [10, 18]]));
     }
 
     #[test]

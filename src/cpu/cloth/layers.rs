@@ -1,20 +1,17 @@
 //! The contacts of a cloth with itself: between its particles and its triangles, and between its edges.
 
-use super::cells::{Cells, Placed};
 use super::contacts::Approach;
 use super::flat_tiles::FlatTiles;
+use super::patch_tree::PatchTree;
 use super::touch::Touch;
-use super::vector::{add, at, dot, scaled, sub};
+use super::vector::{add, at, dot, scaled};
 use super::{Block, Coupling};
 use crate::cloth::terms::{Contact, Elastic};
-use crate::cloth::{Grid, LayerStats, Nearest, Parts, Role, SelfContact};
+use crate::cloth::{Bounds, Grid, LayerStats, Nearest, Parts, Role, SelfContact};
 use crate::cpu::Real;
 use crate::sim::MAX_DIRECTIONS;
 use glam::DVec3;
 use rayon::prelude::*;
-
-/// Patches per task of the search, and pairs per task of what follows.
-const TASK: usize = 256;
 
 /// Fewer pairs than this are not worth waking a thread for.
 const ALONE: usize = 2048;
@@ -72,7 +69,7 @@ impl<T: Real> Layers<T> {
     /// from there the direction between its nearest points is the plane's normal. Up to there the parts have not passed
     /// through each other, however fast they are.
     pub fn find(start: &Approach<'_, T>, settings: SelfContact) -> Self {
-        Search::new(start, settings, None).run(|_| true)
+        Search::new(start, settings, None).run(vec![true; start.grid.particles()])
     }
 
     /// Finds the pairs that come nearer to each other than half the thickness on the way on which the accelerations `a`
@@ -87,7 +84,7 @@ impl<T: Real> Layers<T> {
         let mean = (0..n).map(|p| search.way[p] - search.base[p]).sum::<DVec3>() / n as f64;
         let has_left = |p: usize| (search.way[p] - search.base[p] - mean).length() > budget;
         let of_patch: Vec<bool> = (0..n).map(|p| corners(start.grid, p).any(has_left)).collect();
-        search.run(|patch| of_patch[patch])
+        search.run(of_patch)
     }
 
     /// Iterates over the pairs: the particles of [`Parts::particles`], and the weights with which their displacements make the
@@ -247,15 +244,11 @@ struct Search<'a, T> {
     base: Vec<DVec3>,
     /// The way that each particle takes in the frame as far as it is known \[edges\].
     way: Vec<DVec3>,
-    /// One for each particle.
-    patches: Vec<Patch>,
+    /// One for each particle, where most are looked at.
+    patches: Option<Vec<Patch>>,
     tiles: FlatTiles,
     /// Distance within which pairs are contacts.
     range: f64,
-    /// Largest radius of a patch and longest way of one together.
-    largest: f64,
-    /// Side of the cells: patches whose centres are farther apart have no pair.
-    side: f64,
 }
 
 /// A particle with its triangles and edges towards the larger numbers: the parts that lie in the cell behind it. Balls around
@@ -345,83 +338,39 @@ impl<'a, T: Real> Search<'a, T> {
         let mean = way.iter().sum::<DVec3>() / n as f64;
         way.iter_mut().for_each(|way| *way -= mean);
         base.iter_mut().for_each(|base| *base -= mean);
-        let patch = |p: usize| {
-            let ball = |particles: &[usize]| {
-                let mut points = [(DVec3::ZERO, DVec3::ZERO); 4];
-                points.iter_mut().zip(particles).for_each(|(point, &q)| *point = (x[q], way[q]));
-                Ball::around(&points[..particles.len()])
-            };
-            let own = !start.marks[p].is_outside();
-            let (below, right) = (p / grid.w + 1 < grid.h, p % grid.w + 1 < grid.w);
-            let [q, r, s] = [p + 1, p + grid.w, p + grid.w + 1];
-            let exists = |is_there: bool, q: usize| own && is_there && !start.marks[q].is_outside();
-            let (below, right, opposite) = (exists(below, r), exists(right, q), exists(below && right, s));
-            let whole = below && right && opposite;
-            let has = |has: bool, particles: &[usize]| if has { ball(particles) } else { Ball::NOWHERE };
-            Patch {
-                all: match (below, right) {
-                    _ if whole => ball(&[p, q, r, s]),
-                    (true, true) => ball(&[p, q, r]),
-                    (true, false) => ball(&[p, r]),
-                    (false, true) => ball(&[p, q]),
-                    (false, false) => has(own, &[p]),
-                },
-                particle: has(own, &[p]),
-                faces: [has(whole, &[p, r, s]), has(whole, &[p, s, q])],
-                edges: [has(right, &[p, q]), has(below, &[p, r]), has(whole, &[p, s])],
-                halves: [(right, q), (below, r), (whole, s)]
-                    .map(|(has, q)| if has { 0.5 * (x[q] - x[p]) } else { DVec3::ZERO }),
-            }
-        };
-        let patches: Vec<Patch> = (0..n).into_par_iter().map(patch).collect();
         let range = match a {
             None => settings.thickness + SelfContact::MARGIN,
             Some(_) => SelfContact::NEAR * settings.thickness,
         };
-        let largest = |of: fn(&Ball) -> f64| {
-            patches.iter().map(|patch| of(&patch.all)).filter(|s| s.is_finite()).fold(0.0, f64::max)
-        };
-        let largest = largest(|patch| patch.radius + patch.spread) + largest(|patch| patch.way.length());
-        let side = range + 2.0 * largest;
         let elastic = Elastic::new(grid, start.cloth.material, start.cloth.damping);
         let tiles = FlatTiles::new(grid, &x, &way, range);
-        Self { start, settings, elastic, x, base, way, patches, tiles, range, largest, side }
+        let search = Self { start, settings, elastic, x, base, way, patches: None, tiles, range };
+        let patches = a.is_none().then(|| (0..n).into_par_iter().map(|p| search.patch(p)).collect());
+        Self { patches, ..search }
     }
 
-    /// Finds the pairs of which at least one part lies in a patch that `wanted` is true for.
-    fn run(self, wanted: impl Fn(usize) -> bool + Sync) -> Layers<T> {
+    /// Finds the pairs of which at least one part lies in a patch that is `wanted`.
+    fn run(self, wanted: Vec<bool>) -> Layers<T> {
         let thickness = self.settings.thickness;
         let none = |overflow| Layers { pairs: Vec::new(), active: Vec::new(), thickness, overflow };
-        if !(0..self.patches.len()).any(&wanted) {
+        if !wanted.contains(&true) {
             return none(false);
         }
-        let cells = Cells::of(self.patches.iter().map(|patch| patch.all.centre.to_array()), self.side);
-        let of_task = |task: &[Placed<f64>]| {
-            let mut walk = cells.walk(&task[0]);
-            let mut found = Vec::new();
-            for own in task.iter().filter(|own| own.is_within_reach() && wanted(own.particle)) {
-                if found.len() > SelfContact::MOST_PAIRS * task.len() {
-                    return None;
-                }
-                let ball = &self.patches[own.particle].all;
-                let reach = self.side - self.largest + ball.radius + ball.spread + ball.way.length();
-                let is_apart = self.tiles.around(own.particle);
-                for other in walk.around(own) {
-                    let (p, q) = (own.particle, other.particle);
-                    let from = sub(own.place, other.place);
-                    if dot(from, from) > reach * reach || is_apart(q) {
-                        continue;
-                    }
-                    // Once for both.
-                    if q > p || !wanted(q) {
-                        self.between(p.min(q), p.max(q), &mut found);
-                    }
-                }
+        let particles = self.start.grid.particles();
+        let boxes = (0..particles).into_par_iter().map(|p| self.bounds(p)).collect();
+        let most = SelfContact::MOST_PAIRS * particles;
+        let show = |found: &mut Vec<_>, [p, q]: [usize; 2]| {
+            let [p, q] = [p.min(q), p.max(q)];
+            match &self.patches {
+                Some(patches) => self.between([p, q], [&patches[p], &patches[q]], found),
+                None => self.between([p, q], [&self.patch(p), &self.patch(q)], found),
             }
-            Some(found)
+            found.len() <= most
         };
-        let tasks: Option<Vec<Vec<_>>> = cells.sorted().par_chunks(TASK).map(of_task).collect();
-        let Some(tasks) = tasks else { return none(true) };
+        let tasks = PatchTree::new(self.start.grid, boxes, wanted).visit(&self.tiles, Vec::new, show);
+        if tasks.iter().map(Vec::len).sum::<usize>() > most {
+            return none(true);
+        }
         let mut parts: Vec<_> = tasks.into_iter().flatten().collect();
         // An order that depends on nothing but the parts.
         parts.par_sort_unstable_by_key(|(parts, _)| *parts);
@@ -429,10 +378,55 @@ impl<'a, T: Real> Search<'a, T> {
         Layers { pairs, ..none(false) }
     }
 
-    /// Appends the pairs of patch `p` with another patch `q` that are near.
-    fn between(&self, p: usize, q: usize, found: &mut Vec<(Parts, Met)>) {
-        let [one, other] = [p, q].map(|p| &self.patches[p]);
-        if p == q || !one.all.meets(&other.all, self.range) {
+    /// Returns the patch of a particle.
+    fn patch(&self, p: usize) -> Patch {
+        let grid = self.start.grid;
+        let ball = |particles: &[usize]| {
+            let mut points = [(DVec3::ZERO, DVec3::ZERO); 4];
+            points.iter_mut().zip(particles).for_each(|(point, &q)| *point = (self.x[q], self.way[q]));
+            Ball::around(&points[..particles.len()])
+        };
+        let own = !self.start.marks[p].is_outside();
+        let (below, right) = (p / grid.w + 1 < grid.h, p % grid.w + 1 < grid.w);
+        let [q, r, s] = [p + 1, p + grid.w, p + grid.w + 1];
+        let exists = |is_there: bool, q: usize| own && is_there && !self.start.marks[q].is_outside();
+        let (below, right, opposite) = (exists(below, r), exists(right, q), exists(below && right, s));
+        let whole = below && right && opposite;
+        let has = |has: bool, particles: &[usize]| if has { ball(particles) } else { Ball::NOWHERE };
+        Patch {
+            all: match (below, right) {
+                _ if whole => ball(&[p, q, r, s]),
+                (true, true) => ball(&[p, q, r]),
+                (true, false) => ball(&[p, r]),
+                (false, true) => ball(&[p, q]),
+                (false, false) => has(own, &[p]),
+            },
+            particle: has(own, &[p]),
+            faces: [has(whole, &[p, r, s]), has(whole, &[p, s, q])],
+            edges: [has(right, &[p, q]), has(below, &[p, r]), has(whole, &[p, s])],
+            halves: [(right, q), (below, r), (whole, s)]
+                .map(|(has, q)| if has { 0.5 * (self.x[q] - self.x[p]) } else { DVec3::ZERO }),
+        }
+    }
+
+    /// Returns the box around a patch on its way, and half the range around that.
+    fn bounds(&self, p: usize) -> Bounds {
+        let (grid, marks) = (self.start.grid, &self.start.marks);
+        if marks[p].is_outside() {
+            return Bounds::NONE;
+        }
+        let ends = corners(grid, p)
+            .filter(|&q| !marks[q].is_outside())
+            .map(|q| Bounds::around(&[self.x[q], self.x[q] + self.way[q]]));
+        let all = ends.fold(Bounds::NONE, |all, of_corner| all.with(&of_corner));
+        let margin = DVec3::splat(0.5 * self.range);
+        let is_somewhere = all.low.is_finite() && all.high.is_finite();
+        if is_somewhere { Bounds { low: all.low - margin, high: all.high + margin } } else { Bounds::NONE }
+    }
+
+    /// Appends the pairs of a patch with another one that are near.
+    fn between(&self, [p, q]: [usize; 2], [one, other]: [&Patch; 2], found: &mut Vec<(Parts, Met)>) {
+        if !one.all.meets(&other.all, self.range) {
             return;
         }
         let grid = self.start.grid;

@@ -17,6 +17,7 @@ mod hessian;
 mod integrate;
 mod layers;
 mod particles;
+mod patch_tree;
 mod plain;
 mod repulsion;
 mod rows;
