@@ -57,6 +57,7 @@ def cases():
     yield "f16", [*bench, "--grid", "32", "--precision", "f16"]
     yield "repulsion", ["rollout", "--device", "gpu", "--repulsion", "--frames", "3", "--no-pictures", "--out", "rollout"]
     yield "self-contact", ["rollout", "--device", "gpu", "--self-contact", "--frames", "3", "--no-pictures", "--out", "rollout"]
+    yield "pleats", ["rollout", "pleats", "--device", "gpu", "--frames", "3", "--no-pictures", "--out", "rollout"]
     yield "bodies", ["rollout", "sphere", "--device", "gpu", "--frames", "3", "--no-pictures", "--out", "rollout"]
 
 

@@ -9,6 +9,7 @@
 // marks: [B, H, W]
 // a, x: [B, 3, H, W]
 // base: [B, 3, H, W], and the external accelerations [B, 3, H, W] from element `first_external` on
+// rest_angles: [B, H, W], along the height and along the width; not read if the cloths have none
 // parts: [B, groups, 8]
 //
 // One invocation per particle. Sums over a workgroup have a fixed order.
@@ -20,6 +21,7 @@ struct Params {
     columns: u32, // W
     groups: u32,
     first_external: u32,
+    has_rest_angles: u32,
     zero: u32, // 0
 }
 
@@ -29,7 +31,8 @@ struct Params {
 @group(0) @binding(3) var<storage, read> a: array<f32>;
 @group(0) @binding(4) var<storage, read> base: array<f32>;
 @group(0) @binding(5) var<storage, read> x: array<f32>;
-@group(0) @binding(6) var<storage, read_write> parts: array<vec4f>;
+@group(0) @binding(6) var<storage, read> rest_angles: array<vec2f>;
+@group(0) @binding(7) var<storage, read_write> parts: array<vec4f>;
 
 const RIGHT_ANGLE: f32 = 1.5707963267948966;
 
@@ -141,6 +144,9 @@ fn energy(
         let f = vec3f(base[given], base[given + n], base[given + 2u * n]);
         let count = rows * columns;
         term *= vec4f(material.x, material.y / count, material.z / count, 0.0);
+        if params.has_rest_angles != 0u {
+            term.z += hinge_energy(hinge(b, vec2i(i32(i), i32(j)), 0u)) + hinge_energy(hinge(b, vec2i(i32(i), i32(j)), 1u));
+        }
         let alone = particle_energies(acceleration, f, mass_of(marks[b * n + p]) / count);
         term.w = alone.x;
         other.x = alone.y;

@@ -1,7 +1,7 @@
 //! What stays fixed during a run, what changes, and what drives a frame. Grid units throughout, z up.
 
 use super::terms::Contact;
-use super::{Body, Grid, MAX_BODIES, Map, Mark, Mask, Sweep, Weave};
+use super::{Body, Grid, MAX_BODIES, Map, Mark, Mask, RestAngles, Sweep, Weave};
 use crate::{Error, Result};
 use num_traits::Float;
 use std::collections::HashSet;
@@ -147,6 +147,8 @@ pub struct Cloth {
     /// Factors of its stretch, shear and bend: an edge has the mean of its ends, an angle that of the particle where its
     /// edges meet. `None` for 1.
     pub stiffness: Option<Map>,
+    /// The angles by which it turns at rest; `None` for a flat sheet.
+    pub rest_angles: Option<RestAngles>,
     /// Gravity as an acceleration [edges / frame^2]
     /// ([`Setup::acceleration_of`](crate::scene::Setup::acceleration_of)).
     pub gravity: [f64; 3],
@@ -228,7 +230,7 @@ impl Model {
     }
 
     /// Fails if the grid is too small or too large ([`Grid::new`]), there is no cloth, a handle is outside
-    /// the grid, not part of its cloth or listed twice, a mask or a map is of another grid, a number of a repulsion is out of the range given in [`Repulsion`], a
+    /// the grid, not part of its cloth or listed twice, a mask, a map or rest angles are of another grid, a number of a repulsion is out of the range given in [`Repulsion`], a
     /// coefficient is negative, or any number is not finite in single precision.
     pub fn check(&self) -> Result<()> {
         Grid::new(self.grid.h, self.grid.w, "model")?;
@@ -289,6 +291,7 @@ impl Model {
                 ("mask", cloth.mask.as_ref().map(Mask::grid)),
                 ("density", cloth.density.as_ref().map(Map::grid)),
                 ("stiffness", cloth.stiffness.as_ref().map(Map::grid)),
+                ("rest angles", cloth.rest_angles.as_ref().map(RestAngles::grid)),
             ];
             for (what, grid) in grids {
                 if let Some(grid) = grid.filter(|&grid| grid != self.grid) {
@@ -344,6 +347,14 @@ impl Model {
         Err(Error::invalid("model", format!("self-contact of cloth {b}"), format!("none, {why}"), "one"))
     }
 
+    /// Fails, naming the cloth, if one has angles at rest. `why` completes "expected none, ".
+    pub(crate) fn refuse_rest_angles(&self, why: &str) -> Result<()> {
+        let Some(b) = self.cloths.iter().position(|cloth| cloth.rest_angles.is_some()) else {
+            return Ok(());
+        };
+        Err(Error::invalid("model", format!("rest angles of cloth {b}"), format!("none, {why}"), "some"))
+    }
+
     /// Fails, naming the cloth, if one has a repulsion. `why` completes "expected none, ".
     pub(crate) fn refuse_repulsion(&self, why: &str) -> Result<()> {
         let Some(b) = self.cloths.iter().position(|cloth| cloth.repulsion.is_some()) else { return Ok(()) };
@@ -370,6 +381,11 @@ impl Model {
     pub fn handle_range(&self, b: usize) -> Range<usize> {
         let before: usize = self.cloths[..b].iter().map(|cloth| cloth.handles.len()).sum();
         before..before + self.cloths[b].handles.len()
+    }
+
+    /// Whether any cloth has angles at rest.
+    pub fn has_rest_angles(&self) -> bool {
+        self.cloths.iter().any(|cloth| cloth.rest_angles.is_some())
     }
 
     /// Whether all cloths are full rectangles.

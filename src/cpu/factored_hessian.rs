@@ -1,7 +1,8 @@
 //! Newton steps from the sparse Hessian of a frame's energy and its Cholesky factors.
 
 use super::cloth::{
-    AFTER, Contacts, Coupling, Hessian, Projection, Trial, add_own_block, neighbours, repelling_pairs,
+    AFTER, Contacts, Couples, Coupling, Hessian, Projection, Trial, add_own_block, neighbours,
+    repelling_pairs,
 };
 use crate::cloth::{Grid, Repulsion};
 use crate::cpu::optim::InverseHessian;
@@ -168,7 +169,7 @@ impl FactoredHessian {
         self.is_stale = !self.analysis.pairs.is_empty();
     }
 
-    /// Factors the Hessian at a trial, with that of the contacts, and of the repulsion if there is one, removing about as little of its
+    /// Factors the Hessian at a trial, with that of the contacts and couples, and of the repulsion if there is one, removing about as little of its
     /// negative curvature as makes it positive definite.
     ///
     /// Full projection always gives a definite matrix but converges slowly: much of a folded sheet is
@@ -177,13 +178,14 @@ impl FactoredHessian {
         &mut self,
         trial: &Trial<'_, f64>,
         repulsion: Option<Repulsion>,
-        contacts: &Contacts<f64>,
+        (contacts, couples): (&Contacts<f64>, &Couples<f64>),
     ) -> Result<()> {
         let pairs = repulsion.map_or_else(Vec::new, |repulsion| repelling_pairs(trial, repulsion));
         // Convex, so nothing of them needs to be removed.
         let of_layers = contacts.couplings(trial);
         let all = |projection| {
-            pairs.iter().map(move |pair| pair.coupling(projection)).chain(of_layers.iter().copied())
+            let of_pairs = pairs.iter().map(move |pair| pair.coupling(projection));
+            of_pairs.chain(of_layers.iter().copied()).chain(couples.couplings(trial, projection))
         };
         self.contain(all(Projection::NONE))?;
         loop {

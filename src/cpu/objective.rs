@@ -3,8 +3,9 @@
 
 use super::Real;
 use super::cloth::{
-    Approach, Contacts, CurvatureRows, Elements, Frame, GradientRows, Layers, LocalModel, Trial, add_wind,
-    end_frame, energy, gradient, local_model, masses, repulsion, repulsion_curvature, shifts, stretch,
+    Approach, Contacts, Couples, CurvatureRows, Elements, Frame, GradientRows, Layers, LocalModel, Trial,
+    add_wind, end_frame, energy, gradient, local_model, masses, repulsion, repulsion_curvature, shifts,
+    stretch,
 };
 use super::optim::norm;
 use crate::cloth::{BodyStats, Control, EnergyTerms, LayerStats, Mark, Model, State, Sweep};
@@ -45,11 +46,13 @@ pub(super) struct Trials<T> {
     elements: Vec<Option<Elements<T>>>,
     /// Contacts of each cloth in this frame, shape \[B\].
     pub contacts: Vec<Contacts<T>>,
+    /// Couples of each cloth in this frame, shape \[B\].
+    pub couples: Vec<Couples<T>>,
 }
 
 /// Whether the gradient sees forces that depend on the positions.
 fn has_total(model: &Model) -> bool {
-    model.repels() || model.touches_itself() || model.bodies() > 0
+    model.repels() || model.touches_itself() || model.bodies() > 0 || model.has_rest_angles()
 }
 
 impl<T: Real> Objective<T> {
@@ -66,6 +69,7 @@ impl<T: Real> Objective<T> {
             masses: Vec::new(),
             elements: Vec::new(),
             contacts: vec![Contacts::default(); model.batch()],
+            couples: vec![Couples::default(); model.batch()],
         };
         trial.mark();
         Self {
@@ -90,6 +94,7 @@ impl<T: Real> Objective<T> {
         self.total_acceleration.resize(if has_total(model) { self.grad.len() } else { 0 }, T::zero());
         self.trial.mark();
         self.trial.contacts.fill(Contacts::default());
+        self.trial.couples.fill(Couples::default());
     }
 
     /// Returns the cloths.
@@ -115,7 +120,7 @@ impl<T: Real> Objective<T> {
     /// Starts a frame, during which gravity, wind and the external accelerations of `control` are constant, and bodies
     /// are planes. Panics if a length does not match the model.
     pub fn begin_frame(&mut self, state: &State<T>, control: &Control<T>) {
-        let Trials { model, f, marks, contacts, .. } = &mut self.trial;
+        let Trials { model, f, marks, contacts, couples, .. } = &mut self.trial;
         let (grid, batch, cloth) = (model.grid, model.batch(), 3 * model.grid.particles());
         let len = batch * cloth;
         assert!(state.x.len() == len && state.v.len() == len, "a state has shape [B, 3, H, W]");
@@ -133,16 +138,18 @@ impl<T: Real> Objective<T> {
             let wind = control.wind.get(b).copied().unwrap_or([T::zero(); 3]);
             let marks = &marks[b * cloth / 3..][..cloth / 3];
             add_wind((grid, marks), setting.air, wind, (&state.x[at.clone()], &state.v[at.clone()]), f);
+            let start = Approach {
+                grid,
+                cloth: setting,
+                sweeps: &sweeps(model, control, b),
+                x: &state.x[at.clone()],
+                v: &state.v[at.clone()],
+                marks,
+                handles: &control.handles,
+            };
+            couples[b] = Couples::find(&start);
             if !setting.bodies.is_empty() || setting.self_contact.is_some() {
-                contacts[b] = Contacts::find(Approach {
-                    grid,
-                    cloth: setting,
-                    sweeps: &sweeps(model, control, b),
-                    x: &state.x[at.clone()],
-                    v: &state.v[at.clone()],
-                    marks,
-                    handles: &control.handles,
-                });
+                contacts[b] = Contacts::find(start);
             }
         }
     }
@@ -222,6 +229,7 @@ impl<T: Real> Objective<T> {
                 }
             };
             trial.contacts[b].add_accelerations(before.marks, total_acceleration);
+            trial.couples[b].add_accelerations(&before, total_acceleration);
         });
         let of_cloth = |b: usize, grad: &mut [T], norms: &mut [f64], rows: &mut GradientRows<T>| {
             let mut of_gradient = trial.cloth(state, b);
@@ -278,6 +286,7 @@ impl<T: Real> Objective<T> {
             terms.repulsion = repulsion(&trial, of_cloth, &mut vec![T::zero(); self.cloth_len()]);
         }
         terms.contact = self.trial.contacts[b].energy();
+        terms.bend += self.trial.couples[b].energy(&trial);
         terms
     }
 
@@ -302,7 +311,9 @@ impl<T: Real> Objective<T> {
             add(repulsion_curvature(&trial, of_cloth, directions));
         }
         add(self.trial.contacts[b].curvature(directions, self.cloth_len()));
+        self.trial.couples[b].add_curvature(&trial, directions, &mut model.curvature);
         model.energy.contact = self.trial.contacts[b].energy();
+        model.energy.bend += self.trial.couples[b].energy(&trial);
         model
     }
 
@@ -319,6 +330,7 @@ impl<T: Real> Objective<T> {
             terms.repulsion = repulsion(&trial, of_cloth, &mut vec![T::zero(); self.cloth_len()]);
         }
         terms.contact = self.trial.contacts[b].energy();
+        terms.bend += self.trial.couples[b].energy(&trial);
         terms
     }
 

@@ -123,9 +123,13 @@ impl Reference {
         let (mut inverse, mut iterations, mut rises) = (Inverse::AtRest, 0, 0);
         while norm(&grad) > self.tolerance && iterations < self.iterations {
             if inverse == Inverse::Missing {
-                let Trials { model, contacts, .. } = &self.objective.trial;
+                let Trials { model, contacts, couples, .. } = &self.objective.trial;
                 let trial = self.objective.trial.cloth(state, 0);
-                if self.hessian.factor(&trial, model.cloths[0].repulsion, &contacts[0]).is_err() {
+                if self
+                    .hessian
+                    .factor(&trial, model.cloths[0].repulsion, (&contacts[0], &couples[0]))
+                    .is_err()
+                {
                     break;
                 }
                 self.history.clear();
@@ -190,7 +194,8 @@ impl Reference {
             let lower = terms.total();
             // Close to the minimum a step gains less than the rounding error of the terms, of which external
             // work is negative.
-            let rounding = 4.0 * f64::EPSILON * terms.magnitude();
+            let cancelled = self.objective.trial.couples[0].cancelled();
+            let rounding = 4.0 * f64::EPSILON * (terms.magnitude() + cancelled);
             if lower <= energy - SUFFICIENT * length * slope + rounding {
                 return Some(lower);
             }

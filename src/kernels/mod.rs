@@ -53,6 +53,8 @@ pub(crate) mod pieces {
     pub const ELASTIC_ALONG: &str = include_str!("../../shaders/pieces/elastic_along.wgsl");
     pub const FEATURES: &str = include_str!("../../shaders/pieces/features.wgsl");
     pub const FOUR_FIELDS: &str = include_str!("../../shaders/pieces/four_fields.wgsl");
+    pub const HINGE: &str = include_str!("../../shaders/pieces/hinge.wgsl");
+    pub const HINGE_ENERGY: &str = include_str!("../../shaders/pieces/hinge_energy.wgsl");
     pub const LIFTED_EMBEDDING: &str = include_str!("../../shaders/pieces/lifted_embedding.wgsl");
     pub const LIFTED_FIELDS: &str = include_str!("../../shaders/pieces/lifted_fields.wgsl");
     pub const LIFTING_INPUTS: &str = include_str!("../../shaders/pieces/lifting_inputs.wgsl");

@@ -3,8 +3,8 @@
 use super::start::read_transform;
 use super::{
     Attachment, BodyMotion, BodySettings, BodyShape, Event, Fabric, Gusts, Handles, MapSettings,
-    MaskSettings, Mass, MeshSource, Moduli, Motion, Placement, RepulsionSettings, Scene, SelfContactSettings,
-    Side, Start, StartFile, Stiffness, UpAxis, Wind, authors,
+    MaskSettings, Mass, MeshSource, Moduli, Motion, Placement, RepulsionSettings, RestShape, Scene,
+    SelfContactSettings, Side, Start, StartFile, Stiffness, UpAxis, Wind, authors,
 };
 use crate::cloth::{Grid, Material, Weave};
 use crate::io::Node;
@@ -14,7 +14,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// The fields of a scene file.
-pub(super) const FIELDS: [&str; 25] = [
+pub(super) const FIELDS: [&str; 26] = [
     "grid",
     "side_m",
     "mask",
@@ -24,6 +24,7 @@ pub(super) const FIELDS: [&str; 25] = [
     "material",
     "damping_s",
     "maps",
+    "rest_shape",
     "gravity",
     "wind",
     "repulsion",
@@ -106,6 +107,7 @@ impl Scene {
             "material": self.stiffness.to_json(),
             "damping_s": self.damping_s,
             "maps": self.maps.to_json(),
+            "rest_shape": self.rest_shape.to_json(),
             "gravity": self.gravity,
             "wind": self.wind,
             "repulsion": self.repulsion.map_or(json!(false), |settings| json!(settings)),
@@ -171,7 +173,7 @@ impl Scene {
 }
 
 /// Fields that other simulators have, and what to do here.
-const ABSENT: [(&str, &str); 34] = [
+const ABSENT: [(&str, &str); 38] = [
     (
         "damping",
         "\"damping_s\" damps changes of the stretch, and the air slows the cloth (\"wind\": {\"density\", \"drag\"})",
@@ -210,9 +212,14 @@ const ABSENT: [(&str, &str); 34] = [
     ("stretch", "it is a field of \"material\""),
     ("bend", "it is a field of \"material\""),
     ("shear", "it is a field of \"material\""),
+    ("creases", A_REST_SHAPE),
+    ("pleats", A_REST_SHAPE),
+    ("rest_angles", A_REST_SHAPE),
+    ("curvature", A_REST_SHAPE),
     ("solver", "it is an option of the command, --solver"),
     ("iterations", "it is an option of the command, --iterations"),
 ];
+const A_REST_SHAPE: &str = "it belongs into \"rest_shape\": {\"creases\": [{\"u\": 0.5, \"angle\": 90}], \"pleats\", \"curvature_per_m\"}";
 const A_MESH: &str = "it is called \"mesh\": the path of an .obj, .glb or .gltf with texture coordinates";
 const BODIES: &str =
     "they are called \"bodies\": [{\"shape\": \"sphere\", \"radius_m\": 0.2, \"position_m\": [0, 0, 0]}]";
@@ -226,12 +233,15 @@ fn read(node: &Node, folder: &Path) -> Result<Scene> {
     let up = node.get_or("up", UpAxis::Y, read_up)?;
     let mask = node.get_or("mask", None, |n| MaskSettings::read(n, folder).map(Some))?;
     let maps = node.get_or("maps", MapSettings::default(), |n| MapSettings::read(n, folder))?;
-    let start = if mask.is_some() || !maps.is_empty() { Start::Flat } else { fallback.start };
+    let rest_shape = node.get_or("rest_shape", RestShape::default(), RestShape::read)?;
+    let is_sheet = mask.is_none() && maps.is_empty() && rest_shape.is_flat();
+    let start = if is_sheet { fallback.start } else { Start::Flat };
     Ok(Scene {
         grid: node.get_or("grid", fallback.grid, read_grid)?,
         side_m: node.get_or("side_m", fallback.side_m, read_side)?,
         mask,
         maps,
+        rest_shape,
         damping_s: node.get_or("damping_s", fallback.damping_s, Node::number)?,
         mesh: node.get_or("mesh", None, |n| read_mesh(n, folder).map(Some))?,
         mass: read_mass(node)?,

@@ -36,6 +36,7 @@
 //! | `material` | grid coefficients `{"stretch", "shear", "bend"}`, each optional; or SI moduli `{"stretch_modulus", "shear_modulus", "bending_stiffness"}`, all three required; or `"paper"`, which is `{"stretch": 1000, "shear": 8, "bend": 0.5}`; or the name of a fabric, see below. Stretch and bend may be two numbers, `[along the height, along the width]`: warp and weft | 1; or N/m, N/m, N m | `{"stretch_modulus": 1492.888, "shear_modulus": 44.8333, "bending_stiffness": 0.000752464}` |
 //! | `damping_s` | strain-rate damping: how long stretched edges resist a change of their length, the stiffness-proportional (Rayleigh) coefficient of stretch | s | `0` |
 //! | `maps` | where the sheet is heavier or stiffer, `{"density", "stiffness"}`, see below | | none |
+//! | `rest_shape` | how the sheet is bent where nothing pulls at it, `{"creases", "pleats", "curvature_per_m"}`, see below | | flat |
 //! | `gravity` | vector, or its magnitude, which points down whatever its sign | m/s^2 | 9.8 downwards |
 //! | `wind` | `{"velocity": [x, y, z], "density", "drag", "gusts"}`; gusts are `{"speed_m_s", "frequency_hz", "seed"}`: a velocity of this root mean square that is added, takes a new direction so often (1 if left out) and is the same for the same seed (0) | m/s, kg/m^3, N s/m^3 | `[0, 0, 0]`, `1`, `0`, none |
 //! | `repulsion` | repulsion between the layers of the cloth: `{"strength", "distance"}`, each 1 if left out; `true` for both defaults; or `false` for none | m^2/s^2, edges | `false` |
@@ -74,6 +75,20 @@
 //! "range": [1, 20]}`, a picture that lies on the sheet as a mask does, with the factors of what is black or transparent and of what
 //! is white; between them, and between particles, it is interpolated. Factors are 0.001 to 1000, kept to 0.05 %. `density`
 //! multiplies the mass per area; `stiffness` stretch, shear and bend. Such a cloth, too, begins `flat` without a `start`.
+//!
+//! **Rest shape.** `creases` are lines along which the sheet is folded, `[{"u": 0.25, "angle": 90}, {"v": 0.5, "angle": -60}, ..]`, in
+//! texture coordinates and degrees; positive angles turn it towards its front, the side on which its texture is not mirrored. `pleats` are creases
+//! that turn one way and the other, `{"count": 8, "angle": 90, "along": "u"}` (u if left out). `curvature_per_m`, `[along the height, along the width]`,
+//! curls the sheet to radii of one over that. They bend a cloth as strongly as its own stiffness holds it flat, so a soft one straightens under its
+//! weight. Without a `start` it begins `flat` and takes its shape in the first frames. [`crate::cloth::RestAngles`] takes any angles.
+//!
+//! ```
+//! # use fnopt::scene::Scene;
+//! let text = r#"{"rest_shape": {"pleats": {"count": 6, "angle": 80}}, "gravity": 0, "motion": "none"}"#;
+//! let setup = Scene::parse(text, "fan.json", "".as_ref())?.setup()?;
+//! assert!(setup.model.has_rest_angles());
+//! # Ok::<(), fnopt::Error>(())
+//! ```
 //!
 //! ```
 //! # use fnopt::scene::Scene;
@@ -233,6 +248,7 @@ mod named;
 mod obj;
 mod picture;
 mod points;
+mod rest_shape;
 mod script;
 mod setup;
 mod start;
@@ -248,6 +264,7 @@ pub use maps::{MapFile, MapSettings};
 pub use mask::{MaskSettings, Region};
 pub use motion::{BuiltIn, Motion};
 pub use named::{NamedScene, named_scenes};
+pub use rest_shape::{Crease, CreaseLine, RestShape};
 pub use script::{Change, Course, Lead, Script, Scripts};
 pub use setup::{Batch, EmbeddedMesh, MAX_FRAMES, Setup};
 pub use start::{Start, StartFile, Transform};
@@ -426,6 +443,8 @@ pub struct Scene {
     pub mask: Option<MaskSettings>,
     /// Where it is heavier or stiffer than elsewhere.
     pub maps: MapSettings,
+    /// How it is bent where nothing pulls at it.
+    pub rest_shape: RestShape,
     /// An OBJ or glTF file with texture coordinates: the mesh that the cloth carries along ([`RenderMesh`](crate::io::RenderMesh)).
     pub mesh: Option<PathBuf>,
     /// Mass of the sheet.
@@ -480,6 +499,7 @@ impl Default for Scene {
             side_m: Side::Height(1.0),
             mask: None,
             maps: MapSettings::default(),
+            rest_shape: RestShape::default(),
             damping_s: 0.0,
             mesh: None,
             mass: Mass::default(),

@@ -34,6 +34,7 @@ const ALL: &[NamedScene] = &[
     scene!("flag", "a flag tied to a pole at three points, in the wind"),
     scene!("cape", "a cape on the shoulders of a body that walks and turns"),
     scene!("twist", "two hands take a sheet by its sides, twist it, and one lets go"),
+    scene!("pleats", "a flat sheet that falls from a rail and takes its six pleats"),
     scene!("fold-corner", "a sheet held at its centre and at a corner, which circles it, folds onto itself"),
     scene!("fold-edge", "a sheet held at the middle of an edge, which moves, folds onto itself"),
 ];

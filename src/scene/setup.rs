@@ -424,6 +424,7 @@ impl Scene {
             damping: self.damping_s / self.frame_time_s,
             density: map("maps.density", &self.maps.density)?,
             stiffness: map("maps.stiffness", &self.maps.stiffness)?,
+            rest_angles: self.rest_shape.on(grid, units.length_m, &self.origin)?,
             handles: self.handles.on(grid, &self.origin)?,
             bodies: Vec::new(),
             mask: match &self.mask {
@@ -432,7 +433,11 @@ impl Scene {
             },
         };
         self.check_handles(&cloth, "handles")?;
-        let uneven = [("a mask", cloth.mask.is_some()), ("maps", !self.maps.is_empty())];
+        let uneven = [
+            ("a mask", cloth.mask.is_some()),
+            ("maps", !self.maps.is_empty()),
+            ("a rest shape", cloth.rest_angles.is_some()),
+        ];
         if let Some((what, _)) = uneven.iter().find(|(_, is)| *is && self.start == Start::Settled) {
             let expected = format!("flat, hanging or a file, since a cloth with {what} has no settled drape");
             return Err(Error::invalid(&self.origin, "start", expected, "settled"));

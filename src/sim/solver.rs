@@ -87,6 +87,7 @@ impl Solver {
             self_contact: model.touches_itself(),
             bodies: model.cloths.iter().map(|cloth| cloth.bodies.len()).max().unwrap_or(0),
             fields: Fields::of(model).words_count(),
+            rest_angles: model.has_rest_angles(),
             hidden: method.scales().is_some(),
         };
         let objective = Objective::new(context, grid, batch, room)?;
@@ -246,6 +247,9 @@ impl Solver {
         }
         if !self.objective.has_room_for_self_contact() {
             model.refuse_self_contact("since the solver was built without")?;
+        }
+        if !self.objective.has_room_for_rest_angles() {
+            model.refuse_rest_angles("since the solver was built without")?;
         }
         let room = self.objective.room_for_bodies();
         if let Some(b) = model.cloths.iter().position(|cloth| cloth.bodies.len() > room) {

@@ -46,6 +46,7 @@ impl DeviceLoss {
             self_contact: false,
             bodies: 0,
             fields: 0,
+            rest_angles: false,
             hidden: true,
         };
         Ok(Self {

@@ -279,6 +279,7 @@ fn objective(context: &Context, model: &Model) -> Result<Objective> {
         self_contact: false,
         bodies: 0,
         fields: 0,
+        rest_angles: model.has_rest_angles(),
         hidden: false,
     };
     let objective = Objective::new(context, model.grid, model.batch(), room)?;

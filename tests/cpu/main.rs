@@ -18,6 +18,7 @@ mod newton;
 mod noise;
 mod reference;
 mod repulsion;
+mod rest_angles;
 mod rollout;
 mod subspace;
 mod terms;

@@ -4,7 +4,7 @@ use crate::marks_of;
 use crate::noise::noise;
 use fnopt::cloth::{Cloth, Control, Grid, Mark, Material, Model, Repulsion, State};
 use fnopt::cpu::cloth::{
-    Contacts, GradientRows, Hessian, Projection, Trial, gradient, masses, repelling_pairs,
+    Contacts, Couples, GradientRows, Hessian, Projection, Trial, gradient, masses, repelling_pairs,
 };
 use fnopt::cpu::optim::InverseHessian;
 use fnopt::cpu::{FactoredHessian, Reference, Solver};
@@ -56,7 +56,7 @@ impl Sheet {
     /// Returns the gradient at the free particles and the direction of a Newton step.
     fn directions(&self, hessian: &mut FactoredHessian) -> [Vec<f64>; 2] {
         hessian.reset();
-        hessian.factor(&self.at(&self.x), None, &Contacts::default()).unwrap();
+        hessian.factor(&self.at(&self.x), None, (&Contacts::default(), &Couples::default())).unwrap();
         let mut grad = self.gradient(&self.x);
         let n = self.grid.particles();
         (0..3 * n).filter(|k| !self.marks[k % n].is_free()).for_each(|k| grad[k] = 0.0);
@@ -155,7 +155,9 @@ fn factors_are_computed_again() {
         for value in [f64::NAN, f64::INFINITY] {
             broken.x[p] = value;
             assert!(
-                reused.factor(&broken.at(&broken.x), None, &Contacts::default()).is_err(),
+                reused
+                    .factor(&broken.at(&broken.x), None, (&Contacts::default(), &Couples::default()))
+                    .is_err(),
                 "{value} at {p}"
             );
             broken.x[p] = 0.0;
@@ -191,11 +193,11 @@ fn solves_the_system(grid: Grid, repulsion: Option<Repulsion>) {
     let mut hessian = FactoredHessian::new(sheet.grid).unwrap();
     if repulsion.is_some() {
         // The pattern grows as pairs come into range.
-        hessian.factor(&sheet.at(&sheet.x), repulsion, &Contacts::default()).unwrap();
+        hessian.factor(&sheet.at(&sheet.x), repulsion, (&Contacts::default(), &Couples::default())).unwrap();
         hessian.reset();
         sheet.fold();
     }
-    hessian.factor(&sheet.at(&sheet.x), repulsion, &Contacts::default()).unwrap();
+    hessian.factor(&sheet.at(&sheet.x), repulsion, (&Contacts::default(), &Couples::default())).unwrap();
     let pairs = repulsion.map_or_else(Vec::new, |r| repelling_pairs(&sheet.at(&sheet.x), r));
     assert!(repulsion.is_none() || pairs.len() > n / 3, "{} pairs", pairs.len());
     let mut direction = grad.clone();
@@ -234,7 +236,9 @@ fn pivots_lost_to_rounding_are_replaced() {
         let mut grad = vec![0.0; sheet.x.len()];
         gradient(&stiff, &mut GradientRows::new(sheet.grid), &mut grad);
         let mut hessian = FactoredHessian::new(sheet.grid).unwrap();
-        hessian.factor(&stiff, None, &Contacts::default()).unwrap_or_else(|e| panic!("9x{w}: {e}"));
+        hessian
+            .factor(&stiff, None, (&Contacts::default(), &Couples::default()))
+            .unwrap_or_else(|e| panic!("9x{w}: {e}"));
         let mut direction = grad.clone();
         hessian.apply(&mut direction);
         assert!(direction.iter().all(|d| d.is_finite()), "9x{w}");

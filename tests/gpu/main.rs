@@ -2,7 +2,7 @@
 //!
 //! `parity` compares each shader with the CPU path, or with plain formulas in double precision. `forward` and
 //! `backward` cover the network, `solver` whole frames, `repelling` frames with repulsion, `touching` those of
-//! cloths that touch themselves, `limits` sizes beyond what a device takes at once, `train` training steps, `control` what
+//! cloths that touch themselves, `folding` those of cloths that are not flat at rest, `limits` sizes beyond what a device takes at once, `train` training steps, `control` what
 //! a host changes between frames, `vertices` the vertex buffer, and `order` that it does not matter which invocation runs
 //! first. The WGSL files themselves are checked in `src/kernels/tests.rs`, which needs no adapter.
 
@@ -12,6 +12,7 @@ mod bodies;
 mod cloths;
 mod common;
 mod control;
+mod folding;
 mod forward;
 mod limits;
 #[path = "../noise/mod.rs"]

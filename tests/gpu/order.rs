@@ -1,6 +1,7 @@
 //! No result depends on the order in which a device runs invocations and workgroups.
 
 use crate::common::{context, device, half, noise, poisoned, read, run, tensor};
+use crate::folding::bent;
 use crate::repelling::crowded;
 use crate::solver::{assert_same, starter, step, tuned, varied_batch};
 use crate::touching::{GRID, touching};
@@ -13,7 +14,7 @@ use fnopt::sim::{Optimizer, Solver};
 /// The device's order and the others.
 pub const ORDERS: [Order; 3] = [Order::Natural, Order::Reversed, Order::Scattered];
 
-/// Frames of all optimizers, with repulsion, with self-contact, with rows longer than a workgroup, and in 16 bits.
+/// Frames of all optimizers, with repulsion, with self-contact, with angles at rest, with rows longer than a workgroup, and in 16 bits.
 #[test]
 fn frames_have_the_same_bits_in_every_order() {
     let _turn = device();
@@ -45,6 +46,7 @@ fn frames_have_the_same_bits_in_every_order() {
         compare(context(), crowded(), &optimizer, None);
     }
     compare(context(), touching(GRID), &Optimizer::spectral(), None);
+    compare(context(), bent(GRID), &Optimizer::spectral(), None);
     let learned = Optimizer::paper(starter().clone());
     let long = Grid { h: 9, w: 1100 };
     let (mut model, _, mut control) = varied_batch();

@@ -105,6 +105,70 @@ fn wrong_maps_are_refused() {
 }
 
 #[test]
+fn rest_shapes_are_creases_pleats_and_curls() {
+    let text = r#"{"grid": [21, 11], "side_m": 2, "rest_shape": {"curvature_per_m": [0, 3], "pleats": {"count": 4, "angle": 50},
+        "creases": [{"u": 0.25, "angle": 90}, {"v": 0.999, "angle": -60}]}}"#;
+    let scene = parse(text).unwrap();
+    assert_eq!((again(&scene), scene.start.clone()), (scene.clone(), fnopt::scene::Start::Flat));
+    let setup = scene.setup().unwrap();
+    let angles = setup.model.cloths[0].rest_angles.as_ref().unwrap();
+    for i in 0..21 {
+        // u grows against i; pleats are at 1/8, 3/8, 5/8 and 7/8.
+        let [pleat, crease] = match i {
+            18 | 8 => [50.0, 0.0],
+            13 | 3 => [-50.0, 0.0],
+            15 => [0.0, 90.0],
+            _ => [0.0; 2],
+        };
+        for j in 0..11 {
+            let [along, across] = angles.at(i * 11 + j).map(f64::from);
+            assert!((along - f64::to_radians(pleat + crease)).abs() < 1e-6, "({i}, {j}): {along}");
+            // The edge has a length of 0.1 m, and a crease keeps off the border.
+            let wanted = 0.3 + if j == 1 { f64::to_radians(-60.0) } else { 0.0 };
+            assert!((across - wanted).abs() < 1e-6, "({i}, {j}): {across}, not {wanted}");
+        }
+    }
+    assert!(!parse("{}").unwrap().setup().unwrap().model.has_rest_angles());
+    let settled = Scene { start: fnopt::scene::Start::Settled, ..scene };
+    assert!(settled.setup().unwrap_err().to_string().contains("a rest shape has no settled drape"));
+}
+
+#[test]
+fn wrong_rest_shapes_are_refused() {
+    let refused =
+        |shape: &str, parts: &[&str]| expect_refusal(&format!(r#"{{"rest_shape": {shape}}}"#), parts);
+    refused(r#"{"creases": [{"u": 0.5, "angle": 180}]}"#, &["creases[0].angle", "-180 and 180"]);
+    refused(r#"{"creases": [{"u": 0.5, "v": 0.5, "angle": 10}]}"#, &["creases[0]", "either"]);
+    refused(r#"{"creases": [{"angle": 10}]}"#, &["creases[0]", "either"]);
+    refused(r#"{"creases": [{"u": 0.5}]}"#, &["creases[0]", "angle"]);
+    refused(r#"{"creases": [{"x": 0.5, "angle": 10}]}"#, &["unknown field 'x'", "u"]);
+    refused(r#"{"pleats": {"angle": 10}}"#, &["pleats", "count"]);
+    refused(r#"{"pleats": {"count": 0, "angle": 10}}"#, &["pleats.count", "1 to 1000"]);
+    refused(r#"{"pleats": {"count": 1e9, "angle": 10}}"#, &["pleats.count", "1 to 1000"]);
+    refused(r#"{"pleats": {"count": 4, "angle": 10, "along": "w"}}"#, &["pleats.along", "\"u\" or \"v\""]);
+    refused(r#"{"curvature_per_m": 3}"#, &["curvature_per_m", "two curvatures"]);
+    refused(r#"{"crease": []}"#, &["unknown field 'crease'", "creases"]);
+    expect_refusal(r#"{"pleats": {"count": 4}}"#, &["pleats", "rest_shape"]);
+    // What depends on the grid.
+    let refused = |shape: &str| {
+        let scene = parse(&format!(r#"{{"rest_shape": {shape}}}"#)).unwrap();
+        scene.setup().map(|_| ()).expect_err(shape).to_string()
+    };
+    for (shape, parts) in [
+        (r#"{"creases": [{"v": 0, "angle": 10}]}"#, ["rest_shape.creases[0].v", "between 0 and 1"]),
+        (r#"{"creases": [{"u": 2, "angle": 10}]}"#, ["rest_shape.creases[0].u", "between 0 and 1"]),
+        (r#"{"curvature_per_m": [0, 1000]}"#, ["rest_shape", "-180 and 180"]),
+        (
+            r#"{"creases": [{"u": 0.5, "angle": 100}, {"u": 0.5, "angle": 100}]}"#,
+            ["rest_shape", "-180 and 180"],
+        ),
+    ] {
+        let error = refused(shape);
+        assert!(parts.iter().all(|part| error.contains(part)), "{shape}: {error}");
+    }
+}
+
+#[test]
 fn wrong_weaves_are_refused() {
     expect_refusal(r#"{"material": {"stretch": [1, 2, 3]}}"#, &["material.stretch", "along the height"]);
     expect_refusal(r#"{"material": {"bend": [1, -1]}}"#, &["material.bend", "0 or more"]);

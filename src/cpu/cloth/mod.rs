@@ -7,6 +7,7 @@
 
 mod cells;
 mod contacts;
+mod couples;
 mod curvature;
 mod elements;
 mod embed;
@@ -30,6 +31,7 @@ mod wind;
 
 pub use cells::{Cells, Placed, Walk};
 pub use contacts::{Approach, Contacts};
+pub use couples::Couples;
 pub(super) use curvature::generic_local_model;
 pub use curvature::{CurvatureRows, LocalModel, local_model};
 pub use elements::Elements;

@@ -74,7 +74,8 @@ impl PatchTree {
         show: impl Fn(&mut S, [usize; 2]) -> bool + Sync,
     ) -> Vec<S> {
         let root = Node { level: self.levels.len() - 1, row: 0, column: 0 };
-        let mut tasks = vec![[root; 2]];
+        // A single patch has none beside it.
+        let mut tasks = if root.level == 0 { Vec::new() } else { vec![[root; 2]] };
         while tasks.len() < TASKS && tasks.iter().any(|pair| pair[0].level > 0) {
             let mut parts = Vec::new();
             tasks.into_iter().for_each(|pair| self.split(pair, tiles, &mut parts));

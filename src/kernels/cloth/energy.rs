@@ -18,6 +18,8 @@ pub(crate) const SOURCE: Source = Source {
         terms::EDGE,
         terms::ANGLE,
         pieces::TRIAL,
+        pieces::HINGE,
+        pieces::HINGE_ENERGY,
     ],
 };
 
@@ -28,6 +30,7 @@ struct Params {
     columns: u32,
     groups: u32,
     first_external: u32,
+    has_rest_angles: u32,
     zero: u32,
 }
 
@@ -51,8 +54,14 @@ impl Energy {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Sets `parts` [B, parts, 8] at `iterate.a`.
-    pub fn push(&self, schedule: &mut Schedule, trial: Trial<'_>, parts: &Tensor) {
+    /// Sets `parts` [B, parts, 8] at `iterate.a`. `rest_angles` [B, n, 2] are those of cloths that are not flat at rest.
+    pub fn push(
+        &self,
+        schedule: &mut Schedule,
+        trial: Trial<'_>,
+        rest_angles: Option<&Tensor>,
+        parts: &Tensor,
+    ) {
         let Trial { grid, cloths, x, iterate } = trial;
         let batch = trial.batch();
         let shape @ [_, groups, _] = parts_shape(batch, grid);
@@ -63,9 +72,12 @@ impl Energy {
             columns: size(grid.w),
             groups: size(groups),
             first_external: size(*external),
+            has_rest_angles: rest_angles.is_some().into(),
             zero: 0,
         };
-        let tensors = [cloths, &iterate.marks, &iterate.a, given, x, parts];
+        // Others are not read.
+        let rest_angles = rest_angles.unwrap_or(&iterate.marks);
+        let tensors = [cloths, &iterate.marks, &iterate.a, given, x, rest_angles, parts];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(grid.particles(), batch));
     }
 }

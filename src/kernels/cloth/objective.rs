@@ -1,8 +1,9 @@
 //! The objective of a frame on a device.
 
 use super::{
-    BodyParams, ClothParams, Contacts, Curvature, Energy, EnergySum, ExternalForce, ExternalForceTensors,
-    Gradient, Integrate, Layers, Predict, Repulsion, RepulsionCurvature, StateTensors, TERMS, Trial, energy,
+    BodyParams, ClothParams, Contacts, Couples, Curvature, Energy, EnergySum, ExternalForce,
+    ExternalForceTensors, Gradient, Integrate, Layers, Predict, Repulsion, RepulsionCurvature, StateTensors,
+    TERMS, Trial, energy,
 };
 use crate::Result;
 use crate::cloth::{Control, Grid, Mark, Model};
@@ -42,6 +43,7 @@ pub struct Objective {
     repulsion: Option<(Repulsion, RepulsionCurvature)>,
     contacts: Option<Contacts>,
     layers: Option<Layers>,
+    couples: Option<Couples>,
     gradient: Gradient,
     curvature: Curvature,
     energy: Energy,
@@ -62,6 +64,8 @@ pub struct Room {
     pub bodies: usize,
     /// Number of 32-bit values of the distances of bodies that are meshes ([`Fields`](super::Fields)).
     pub fields: usize,
+    /// Whether cloths may have angles at rest, which cost two dispatches in every evaluation.
+    pub rest_angles: bool,
     /// Whether the iterate has the hidden state of a network.
     pub hidden: bool,
 }
@@ -98,7 +102,7 @@ impl Objective {
             wind: zeros("wind", &[batch, 3])?,
             targets: zeros("handle targets", &[room.handles.max(1), 3])?,
             control_accelerations: field("control accelerations")?,
-            iterate: match room.repulsion || room.self_contact || room.bodies > 0 {
+            iterate: match room.repulsion || room.self_contact || room.bodies > 0 || room.rest_angles {
                 true => iterate.with_total(context)?,
                 false => iterate,
             },
@@ -111,6 +115,7 @@ impl Objective {
                 .then(|| Contacts::new(context, batch, grid.particles(), [room.bodies, room.fields]))
                 .transpose()?,
             layers: room.self_contact.then(|| Layers::new(context, batch, grid)).transpose()?,
+            couples: room.rest_angles.then(|| Couples::new(context, batch, grid)).transpose()?,
             gradient: Gradient::new(context)?,
             curvature: Curvature::new(context)?,
             energy: Energy::new(context)?,
@@ -121,14 +126,21 @@ impl Objective {
 
     /// Sets the constants, handles and bodies of the cloths, ahead of the next submission; the bodies stay where the model
     /// has them. Panics if the sizes do not match, or if there are more handles or bodies than there is room for, or a
-    /// repulsion or self-contact although there is no room for it.
+    /// repulsion, self-contact or rest angles although there is no room for it.
     pub fn set_cloths(&self, model: &Model) {
         assert_eq!((model.grid, model.batch()), (self.grid, self.batch()));
         assert!(model.handles() <= self.targets.shape()[0], "room for {} handles", self.targets.shape()[0]);
         assert!(self.has_room_for_repulsion() || !model.repels(), "there is no room for a repulsion");
         let touches = model.touches_itself();
         assert!(self.has_room_for_self_contact() || !touches, "there is no room for self-contact");
+        assert!(
+            self.has_room_for_rest_angles() || !model.has_rest_angles(),
+            "there is no room for rest angles"
+        );
         self.cloths.write(&self.context, &ClothParams::all(model));
+        if let Some(couples) = &self.couples {
+            couples.set(&self.context, model);
+        }
         self.iterate.marks.write(&self.context, &model.marks());
         if let Some((bodies, params)) = self.bodies(model, &Control::<f32>::default()) {
             bodies.write(&self.context, &params);
@@ -204,14 +216,22 @@ impl Objective {
         self.repulsion.is_some()
     }
 
+    /// Whether cloths may have angles at rest.
+    pub fn has_room_for_rest_angles(&self) -> bool {
+        self.couples.is_some()
+    }
+
     /// Whether cloths may touch themselves.
     pub fn has_room_for_self_contact(&self) -> bool {
         self.layers.is_some()
     }
 
-    /// Returns the parts of the energy in which an evaluation leaves that of repulsion and contacts, if there are any.
+    /// Returns the parts of the energy in which an evaluation leaves that of repulsion, contacts and couples, if there are any.
     pub fn position_parts(&self) -> Option<&Tensor> {
-        let has_any = self.repulsion.is_some() || self.contacts.is_some() || self.layers.is_some();
+        let has_any = self.repulsion.is_some()
+            || self.contacts.is_some()
+            || self.layers.is_some()
+            || self.couples.is_some();
         has_any.then_some(&self.parts)
     }
 
@@ -256,15 +276,15 @@ impl Objective {
     }
 
     /// Appends the gradient at `iterate.a`, with partial sums of its squares and of those of the last step
-    /// ([`Gradient::push`]). One dispatch, six more with a repulsion, another with bodies and two with self-contact.
+    /// ([`Gradient::push`]). One dispatch, six more with a repulsion, another with bodies, two with self-contact and one with angles at rest.
     pub fn evaluate(&self, schedule: &mut Schedule, sums: &Tensor) {
         self.push_by_positions(schedule);
         self.gradient.push(schedule, self.trial(), sums);
     }
 
     /// Appends the quadratic model of the energy along `directions` at `iterate.a`, where it was evaluated, in parts
-    /// [B, parts, 24] ([`Curvature::push`]). The energy of repulsion and contacts is in [`Objective::position_parts`].
-    /// One dispatch, and another each with a repulsion, with bodies and with self-contact.
+    /// [B, parts, 24] ([`Curvature::push`]). The energy of repulsion, contacts and couples is in [`Objective::position_parts`].
+    /// One dispatch, and another each with a repulsion, with bodies, with self-contact and with angles at rest.
     pub fn local_model(&self, schedule: &mut Schedule, directions: &Tensor, parts: &Tensor) {
         self.curvature.push(schedule, self.trial(), [directions, parts]);
         if let Some((repulsion, curvature)) = &self.repulsion {
@@ -275,6 +295,9 @@ impl Objective {
         }
         if let Some(layers) = &self.layers {
             layers.push_curvature(schedule, self.trial(), [directions, parts]);
+        }
+        if let Some(couples) = &self.couples {
+            couples.push_curvature(schedule, self.trial(), [directions, parts]);
         }
     }
 
@@ -296,7 +319,8 @@ impl Objective {
     /// Appends the energy terms at `iterate.a`, in [`Objective::terms`], what the bodies do, in
     /// [`Objective::contact_report`], and what the layers do, in [`Objective::layer_report`].
     pub fn energy(&self, schedule: &mut Schedule) {
-        self.energy.push(schedule, self.trial(), &self.parts);
+        let rest_angles = self.couples.as_ref().map(|couples| &couples.rest_angles);
+        self.energy.push(schedule, self.trial(), rest_angles, &self.parts);
         self.repel(schedule);
         self.energy_sum.push(schedule, &self.parts, &self.terms);
         if let Some(contacts) = &self.contacts {
@@ -324,6 +348,10 @@ impl Objective {
         if let Some(layers) = &self.layers {
             let after_others = self.repulsion.is_some() || self.contacts.is_some();
             layers.push(schedule, self.trial(), after_others, &self.parts);
+        }
+        if let Some(couples) = &self.couples {
+            let after_others = self.repulsion.is_some() || self.contacts.is_some() || self.layers.is_some();
+            couples.push(schedule, self.trial(), after_others, &self.parts);
         }
     }
 

@@ -20,6 +20,7 @@ fn compare(what: &str, (model, state, control): &(Model, State<f32>, Control<f32
         self_contact: false,
         bodies: most,
         fields: Fields::of(model).words_count(),
+        rest_angles: false,
         hidden: false,
     };
     let device = Objective::new(context(), grid, batch, room).unwrap();

@@ -26,7 +26,7 @@ fn energies_and_stretch_match() {
             let partial = poisoned("parts", &parts_shape(batch, grid));
             let terms = poisoned("terms", &[batch, TERMS]);
             run(|schedule| {
-                kernel.push(schedule, cloths.trial(), &partial);
+                kernel.push(schedule, cloths.trial(), None, &partial);
                 sum.push(schedule, &partial, &terms);
             });
             let doubles = Doubles::new(&model, [&x, &base, &a, &f]);
@@ -65,7 +65,7 @@ fn degenerate_cloths_have_the_energies_of_the_host() {
     let cloths = OnDevice::new(&model, [&x, &zero, &zero, &zero]);
     let (partial, terms) = (poisoned("parts", &parts_shape(1, grid)), poisoned("terms", &[1, TERMS]));
     run(|schedule| {
-        kernel.push(schedule, cloths.trial(), &partial);
+        kernel.push(schedule, cloths.trial(), None, &partial);
         sum.push(schedule, &partial, &terms);
     });
     let e = energy(&Doubles::new(&model, [&x, &zero, &zero, &zero]).cloth(0));

@@ -17,7 +17,15 @@ const GRIDS: [Grid; 3] = [Grid { h: 9, w: 10 }, Grid { h: 31, w: 33 }, Grid { h:
 /// Sets up the device's objective for a frame.
 fn on_device((model, state, control): &(Model, State<f32>, Control<f32>), a: &[f32]) -> Objective {
     let handles = model.handles();
-    let room = Room { handles, repulsion: false, self_contact: true, bodies: 0, fields: 0, hidden: false };
+    let room = Room {
+        handles,
+        repulsion: false,
+        self_contact: true,
+        bodies: 0,
+        fields: 0,
+        rest_angles: false,
+        hidden: false,
+    };
     let device = Objective::new(context(), model.grid, model.batch(), room).unwrap();
     device.set_cloths(model);
     device.x.write(context(), &state.x);

@@ -11,6 +11,7 @@ mod cells;
 mod classical;
 mod cloth;
 mod contact;
+mod couple;
 mod curvature;
 mod draw;
 mod embed;

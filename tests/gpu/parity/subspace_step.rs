@@ -300,6 +300,7 @@ fn frames_lower_the_energy() {
             self_contact: false,
             bodies: 0,
             fields: 0,
+            rest_angles: false,
             hidden: false,
         };
         let frame = |order: Order| {
