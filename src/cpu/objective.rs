@@ -3,9 +3,9 @@
 
 use super::Real;
 use super::cloth::{
-    Approach, Contacts, Couples, CurvatureRows, Elements, Frame, GradientRows, Layers, LocalModel, Trial,
-    add_wind, end_frame, energy, gradient, local_model, masses, repulsion, repulsion_curvature, shifts,
-    stretch,
+    Approach, Contacts, Couples, CurvatureRows, Elements, Frame, GradientRows, Layers, LocalModel,
+    Neighbours, Trial, add_wind, end_frame, energy, gradient, local_model, masses, repulsion,
+    repulsion_curvature, shifts, stretch,
 };
 use super::optim::norm;
 use crate::cloth::{BodyStats, Control, EnergyTerms, LayerStats, Mark, Model, State, Sweep};
@@ -46,6 +46,8 @@ pub(super) struct Trials<T> {
     elements: Vec<Option<Elements<T>>>,
     /// Contacts of each cloth in this frame, shape \[B\].
     pub contacts: Vec<Contacts<T>>,
+    /// Which particles of each cloth may be near each other, where it repels itself, shape \[B\].
+    near: Vec<Neighbours<T>>,
     /// Couples of each cloth in this frame, shape \[B\].
     pub couples: Vec<Couples<T>>,
 }
@@ -69,6 +71,7 @@ impl<T: Real> Objective<T> {
             masses: Vec::new(),
             elements: Vec::new(),
             contacts: vec![Contacts::default(); model.batch()],
+            near: vec![Neighbours::default(); model.batch()],
             couples: vec![Couples::default(); model.batch()],
         };
         trial.mark();
@@ -200,12 +203,16 @@ impl<T: Real> Objective<T> {
     /// Moves the particles to where the trial accelerations lead.
     pub fn move_to_trial(&mut self, state: &State<T>, control: &Control<T>) {
         let cloth = self.cloth_len();
-        let Trials { shift, a, marks, contacts, .. } = &mut self.trial;
+        let Trials { model, shift, a, marks, contacts, near, .. } = &mut self.trial;
         for (b, shift) in shift.chunks_exact_mut(cloth).enumerate() {
             let at = b * cloth..(b + 1) * cloth;
             let frame = frame(marks, a, control, (b, cloth / 3));
-            shifts(frame, &state.x[at.clone()], &state.v[at], shift);
+            shifts(frame, &state.x[at.clone()], &state.v[at.clone()], shift);
             contacts[b].move_to(shift);
+            if let Some(of_cloth) = model.cloths[b].repulsion {
+                let places = Neighbours::places(&marks[b * cloth / 3..][..cloth / 3], &state.x[at], shift);
+                near[b].update(model.grid, &places, T::of(of_cloth.distance));
+            }
         }
     }
 
@@ -395,6 +402,7 @@ impl<T: Real> Trials<T> {
             marks: &self.marks[n * b..n * (b + 1)],
             masses: &self.masses[n * b..n * (b + 1)],
             elements: self.elements[b].as_ref(),
+            near: Some(&self.near[b]),
         }
     }
 }

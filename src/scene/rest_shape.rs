@@ -87,7 +87,7 @@ impl RestShape {
 
     /// Returns the shape as [`RestShape::read`] reads it.
     pub(super) fn to_json(&self) -> Value {
-        let creases: Vec<Value> = self.creases.iter().map(Crease::to_json).collect();
+        let creases: Vec<Value> = self.creases.iter().map(|crease| crease.to_json()).collect();
         json!({ "creases": creases, "curvature_per_m": self.curvature_per_m })
     }
 }
@@ -104,7 +104,7 @@ impl Crease {
         Ok(Self { line, angle_deg: read_angle(&angle)? })
     }
 
-    fn to_json(&self) -> Value {
+    fn to_json(self) -> Value {
         match self.line {
             CreaseLine::U(u) => json!({ "u": u, "angle": self.angle_deg }),
             CreaseLine::V(v) => json!({ "v": v, "angle": self.angle_deg }),
@@ -133,7 +133,7 @@ fn read_pleats(node: &Node) -> Result<Vec<Crease>> {
     };
     let pleat = |k: usize| Crease {
         line: line((k as f64 + 0.5) / pleats as f64),
-        angle_deg: if k % 2 == 0 { angle } else { -angle },
+        angle_deg: if k.is_multiple_of(2) { angle } else { -angle },
     };
     Ok((0..pleats).map(pleat).collect())
 }

@@ -76,6 +76,7 @@ impl<T: Real> Stages for CpuStages<T> {
                 masses: &masses[n * b..n * (b + 1)],
                 damping: 0.0,
                 elements: None,
+                near: None,
             };
             terms.push(energy(&trial));
             let mut grad = vec![T::zero(); 3 * n];
@@ -101,6 +102,7 @@ impl<T: Real> Stages for CpuStages<T> {
             masses: &masses(grid, &marks),
             damping: 0.0,
             elements: None,
+            near: None,
         };
         let energy = repulsion(&trial, of_cloth, &mut accelerations);
         Ok((energy, gradient_of_push(grid, &double(&accelerations))))

@@ -81,6 +81,7 @@ impl Sheet {
             masses,
             damping: 0.0,
             elements: None,
+            near: None,
         })
     }
 

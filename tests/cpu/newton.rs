@@ -50,6 +50,7 @@ impl Sheet {
             masses: &self.masses,
             damping: 0.0,
             elements: None,
+            near: None,
         }
     }
 

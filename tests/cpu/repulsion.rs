@@ -72,6 +72,7 @@ impl Sheet {
             masses: &masses,
             damping: 0.0,
             elements: None,
+            near: None,
         })
     }
 

@@ -209,7 +209,7 @@ fn optimizers_see_the_couples() {
     scene.start = Start::Flat;
     let pleat = |k: usize| Crease {
         line: CreaseLine::U((k as f64 + 0.5) / 5.0),
-        angle_deg: if k % 2 == 0 { 90.0 } else { -90.0 },
+        angle_deg: if k.is_multiple_of(2) { 90.0 } else { -90.0 },
     };
     scene.rest_shape = RestShape { creases: (0..5).map(pleat).collect(), curvature_per_m: [0.0, 2.0] };
     let setup = scene.setup().unwrap();

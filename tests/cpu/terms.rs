@@ -205,7 +205,7 @@ impl Sheet {
         let (masses, elements) = (masses(grid, marks), Elements::of(grid, marks));
         let [x, shift, a, f, masses] = [&x, &shift, &a, &f, &masses].map(|values| &values[..]);
         let elements = elements.as_ref();
-        let trial = Trial { grid, material, damping, x, shift, a, f, marks, masses, elements };
+        let trial = Trial { grid, material, damping, x, shift, a, f, marks, masses, elements, near: None };
         use_it(&trial, &all(&self.directions))
     }
 

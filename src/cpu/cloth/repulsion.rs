@@ -1,16 +1,17 @@
 //! The repulsion between nearby particles, which keeps the layers of a cloth apart (paper section 3.4).
 
 use super::Trial;
-use super::cells::{Cells, Placed, Walk};
 use super::hessian::{Block, Coupling, Projection};
+use super::neighbours::Neighbours;
 use super::vector::{add, at, dot, scaled, sub};
-use crate::cloth::{Grid, Repulsion};
+use crate::cloth::Repulsion;
 use crate::cpu::Real;
 use crate::sim::MAX_DIRECTIONS;
 use rayon::prelude::*;
+use std::borrow::Cow;
 
-/// Number of particles per task.
-const TASK: usize = 1024;
+/// Fewest particles that are worth waking a thread for.
+const ALONE: usize = 512;
 
 /// Sets `total_acceleration` [3, H, W] to the external accelerations of a trial plus those of the repulsion,
 /// and returns the repulsion's energy.
@@ -24,21 +25,21 @@ const TASK: usize = 1024;
 /// that of a force, the acceleration `4 k / m sum (x_p - x_q) / (d^2 + 1e-8)`. Handles repel others, but are not
 /// accelerated themselves.
 pub fn repulsion<T: Real>(trial: &Trial<'_, T>, repulsion: Repulsion, total_acceleration: &mut [T]) -> f64 {
-    let (grid, n) = (trial.grid, trial.grid.particles());
+    let n = trial.grid.particles();
     let strength = repulsion.strength;
-    let range = Range::<T>::of(grid, repulsion);
-    let of_particle = |walk: &mut Walk<'_, T>, own: &Placed<T>| {
-        let (mut sum, mut energy, p) = ([T::zero(); 3], 0.0, own.particle);
-        range.pairs(walk, own, |_, difference, square| {
+    let range = Range::of(trial, repulsion);
+    let of_particle = |p: usize| {
+        let (mut sum, mut energy) = ([T::zero(); 3], 0.0);
+        range.pairs(p, |_, difference, square| {
             sum = add(sum, scaled(difference, square.recip()));
             energy -= (square / range.limit).f64().ln();
         });
         let f = at(trial.f, n, p);
         let factor = T::of(4.0 * strength / trial.marks[p].mass());
-        (p, if trial.marks[p].is_free() { add(f, scaled(sum, factor)) } else { f }, energy)
+        (if trial.marks[p].is_free() { add(f, scaled(sum, factor)) } else { f }, energy)
     };
     let mut energy = 0.0;
-    for (p, acceleration, of_particle) in range.of_particles(trial, of_particle) {
+    for (p, (acceleration, of_particle)) in range.of_particles(of_particle).into_iter().enumerate() {
         [total_acceleration[p], total_acceleration[n + p], total_acceleration[2 * n + p]] = acceleration;
         energy += of_particle;
     }
@@ -55,18 +56,18 @@ pub fn repulsion_curvature<T: Real>(
     repulsion: Repulsion,
     directions: &[T],
 ) -> [[f64; MAX_DIRECTIONS]; MAX_DIRECTIONS] {
-    let (grid, n) = (trial.grid, trial.grid.particles());
+    let n = trial.grid.particles();
     let count = directions.len() / (3 * n);
     let mut curvature = [[0.0; MAX_DIRECTIONS]; MAX_DIRECTIONS];
     if count == 0 {
         return curvature;
     }
-    let range = Range::<T>::of(grid, repulsion);
-    let of_particle = |walk: &mut Walk<'_, T>, own: &Placed<T>| {
+    let range = Range::of(trial, repulsion);
+    let of_particle = |own: usize| {
         let mut sums = [[0.0; MAX_DIRECTIONS]; MAX_DIRECTIONS];
-        range.pairs(walk, own, |q, difference, square| {
+        range.pairs(own, |q, difference, square| {
             // Once for both orders.
-            if q < own.particle {
+            if q < own {
                 return;
             }
             let inverse = square.recip();
@@ -74,7 +75,7 @@ pub fn repulsion_curvature<T: Real>(
             let mut along = [T::zero(); MAX_DIRECTIONS];
             let mut changes = [[T::zero(); 3]; MAX_DIRECTIONS];
             for (i, p) in directions.chunks_exact(3 * n).enumerate() {
-                changes[i] = sub(at(p, n, own.particle), at(p, n, q));
+                changes[i] = sub(at(p, n, own), at(p, n, q));
                 along[i] = dot(unit, changes[i]);
             }
             for i in 0..count {
@@ -87,7 +88,7 @@ pub fn repulsion_curvature<T: Real>(
         sums
     };
     let factor = 4.0 * repulsion.strength / n as f64;
-    for sums in range.of_particles(trial, of_particle) {
+    for sums in range.of_particles(of_particle) {
         for i in 0..count {
             for j in i..count {
                 curvature[i][j] += factor * sums[i][j];
@@ -130,16 +131,16 @@ impl RepellingPair {
 
 /// Returns the pairs of particles that repel each other at a trial, in a fixed order.
 pub fn repelling_pairs(trial: &Trial<'_, f64>, repulsion: Repulsion) -> Vec<RepellingPair> {
-    let range = Range::of(trial.grid, repulsion);
+    let range = Range::of(trial, repulsion);
     let factor = 4.0 * repulsion.strength / trial.grid.particles() as f64;
-    let of_particle = |walk: &mut Walk<'_, f64>, own: &Placed<f64>| {
+    let of_particle = |p: usize| {
         let mut pairs = Vec::new();
-        range.pairs(walk, own, |q, difference, square| {
+        range.pairs(p, |q, difference, square| {
             let length = dot(difference, difference).sqrt();
-            if q > own.particle {
+            if q > p {
                 let inverse = if length > 0.0 { length.recip() } else { 0.0 };
                 pairs.push(RepellingPair {
-                    p: own.particle,
+                    p,
                     q,
                     along: factor * (2.0 * length * length / square - 1.0) / square,
                     across: -factor / square,
@@ -149,49 +150,51 @@ pub fn repelling_pairs(trial: &Trial<'_, f64>, repulsion: Repulsion) -> Vec<Repe
         });
         pairs
     };
-    range.of_particles(trial, of_particle).flatten().collect()
+    range.of_particles(of_particle).into_iter().flatten().collect()
 }
 
 /// Which particles repel each other.
-struct Range<T> {
-    grid: Grid,
-    /// The distance below which they do \[edges\].
+struct Range<'a, T: Real> {
+    /// Where they are \[edges\].
+    places: Vec<[T; 3]>,
+    /// Those that may be near each other.
+    near: Cow<'a, Neighbours<T>>,
+    /// The distance below which they repel each other \[edges\].
     distance: T,
     softening: T,
     /// Its square, softened.
     limit: T,
 }
 
-impl<T: Real> Range<T> {
-    fn of(grid: Grid, repulsion: Repulsion) -> Self {
+impl<'a, T: Real> Range<'a, T> {
+    /// Finds those of a trial, unless it has them already.
+    fn of(trial: &Trial<'a, T>, repulsion: Repulsion) -> Self {
         let (distance, softening) = (T::of(repulsion.distance), T::of(Repulsion::SOFTENING));
-        Self { grid, distance, softening, limit: distance * distance + softening }
-    }
-
-    /// Calls `of_particle` for each particle of a trial, in a fixed order, and returns what it returns.
-    fn of_particles<R: Send>(
-        &self,
-        trial: &Trial<'_, T>,
-        of_particle: impl Fn(&mut Walk<'_, T>, &Placed<T>) -> R + Sync,
-    ) -> impl Iterator<Item = R> {
-        let cells = Cells::new(trial, self.distance);
-        let of_task = |task: &[Placed<T>]| {
-            let mut walk = cells.walk(&task[0]);
-            task.iter().map(|own| of_particle(&mut walk, own)).collect()
+        let places = Neighbours::places(trial.marks, trial.x, trial.shift);
+        let near = match trial.near.filter(|near| near.are_within(distance)) {
+            Some(near) => Cow::Borrowed(near),
+            None => {
+                let mut near = Neighbours::default();
+                near.update(trial.grid, &places, distance);
+                Cow::Owned(near)
+            }
         };
-        let tasks: Vec<Vec<R>> = cells.sorted().par_chunks(TASK).map(of_task).collect();
-        tasks.into_iter().flatten()
+        Self { places, near, distance, softening, limit: distance * distance + softening }
     }
 
-    /// Calls `of_pair` for each particle that repels `own`, with its number, the difference to `own` and that
+    /// Calls `of_particle` for each particle, and returns what it returns, in the order of the particles.
+    fn of_particles<R: Send>(&self, of_particle: impl Fn(usize) -> R + Send + Sync) -> Vec<R> {
+        (0..self.places.len()).into_par_iter().with_min_len(ALONE).map(of_particle).collect()
+    }
+
+    /// Calls `of_pair` for each particle that repels particle `p`, with its number, the difference to `p` and that
     /// squared and softened.
-    fn pairs(&self, walk: &mut Walk<'_, T>, own: &Placed<T>, mut of_pair: impl FnMut(usize, [T; 3], T)) {
-        let around = own.is_within_reach().then(|| walk.around(own));
-        for other in around.into_iter().flatten() {
-            let difference = sub(own.place, other.place);
+    fn pairs(&self, p: usize, mut of_pair: impl FnMut(usize, [T; 3], T)) {
+        for q in self.near.of(p).iter().map(|&q| q as usize) {
+            let difference = sub(self.places[p], self.places[q]);
             let square = dot(difference, difference);
-            if square < self.distance * self.distance && !self.grid.joined(own.particle, other.particle) {
-                of_pair(other.particle, difference, square + self.softening);
+            if square < self.distance * self.distance {
+                of_pair(q, difference, square + self.softening);
             }
         }
     }

@@ -196,6 +196,7 @@ impl Doubles {
             marks: &self.marks[n * b..n * (b + 1)],
             masses: &self.masses[n * b..n * (b + 1)],
             elements: self.elements[b].as_ref(),
+            near: None,
         }
     }
 }
