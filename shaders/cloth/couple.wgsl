@@ -1,15 +1,16 @@
 // The couples that bend the cloths to their angles at rest (`cpu::cloth::Couples`): the acceleration that they add to the
 // external one, and their energy in partial sums over the particles of a cloth.
 //
-// With the axis d of a particle's couple and its moment M, an edge e at the particle feels the force M d x e / |d x e|^2 at its far
-// end, and the opposite at the particle.
+// With the axis d of a particle's couple and its moment M, an edge e at the particle feels the force
+//   M d x e / |d x e|^2
+// at its far end, and the opposite at the particle.
 //
 // cloths: [B]
 // marks: [B, H, W]
 // rest_angles: [B, H, W], along the height and along the width
 // x, a: [B, 3, H, W]
-// base: [B, 3, H, W]; the accelerations without the couples [B, 3, H, W] from element `first_source` on, and those with them from
-//   `first_total` on, which may be the same
+// base: [B, 3, H, W]; the accelerations without the couples [B, 3, H, W] from element `first_source` on, and those
+//   with them from `first_total` on, which may be the same
 // parts: [B, groups, 8], of which the last number is increased, or with SETS set
 //
 // One invocation per particle, which gathers from the couples at itself and at its four neighbours.

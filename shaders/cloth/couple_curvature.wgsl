@@ -1,7 +1,7 @@
 // Second derivatives of the couples (`couple`) along K directions p_0 ... p_(K-1), added to those of the other terms.
 //
-// With the part u of an edge e across the axis d of its couple, w = d x e, and the changes q_i of the edge along the directions, the
-// edge after the particle adds
+// With the part u of an edge e across the axis d of its couple, w = d x e, and the changes q_i of the edge along the
+// directions, the edge after the particle adds
 //   M ((u.q_i) (w.q_j) + (w.q_i) (u.q_j)) / |u|^4
 // to A_ij = p_i . d2L/da2 p_j, and the edge before it the opposite. The directions are 0 at handles.
 //

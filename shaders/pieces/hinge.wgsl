@@ -30,7 +30,8 @@ fn predicted(b: u32, at: vec2i) -> vec3f {
     return vec3f(x[k], x[k + n], x[k + 2u * n]) + vec3f(base[k], base[k + n], base[k + 2u * n]);
 }
 
-// Returns the edge between two particles of the trial. The stiff terms need it without rounding (`offset`), the couples do not.
+// Returns the edge between two particles of the trial. The stiff terms need it without rounding (`offset`), the
+// couples do not.
 fn edge_between(p: Trial, q: Trial) -> vec3f {
     return (q.x - p.x) + (q.shift - p.shift);
 }
@@ -40,7 +41,8 @@ fn step_along(axis: u32) -> vec2i {
     return select(vec2i(0, 1), vec2i(1, 0), axis == 0u);
 }
 
-// Returns the hinge at particle (i, j) `at` along an axis, from the kernel's bindings cloths, marks, rest_angles, x, base and a.
+// Returns the hinge at particle (i, j) `at` along an axis, from the kernel's bindings cloths, marks, rest_angles, x,
+// base and a.
 fn hinge(b: u32, at: vec2i, axis: u32) -> Hinge {
     let along = step_along(axis);
     if !exists(b, at) || !exists(b, at - along) || !exists(b, at + along) {

@@ -5,13 +5,14 @@ use crate::{Error, Result};
 use std::f64::consts::PI;
 use std::sync::Arc;
 
-/// The angles by which a sheet turns at rest at each of its particles, from one edge to the next: along the height and along the
-/// width of its grid, in radians. Positive ones turn it towards its front, the side from which its triangles are
-/// counter-clockwise; 0 everywhere is a flat sheet.
+/// The angles by which a sheet turns at rest at each of its particles, from one edge to the next: along the height
+/// and along the width of its grid, in radians. Positive ones turn it towards its front, the side from which its
+/// triangles are counter-clockwise; 0 everywhere is a flat sheet.
 ///
-/// The bend of the paper is the angle between two edges, which has no sign. So a rest angle is a couple: with the coefficient c of the
-/// bend ([`Angle`](super::terms::Angle)) the moment `2 c rest` on both edges, by their directions at the start of the frame. In equilibrium
-/// the angle is the rest angle. Where the sheet ends there is no angle, and what is given for it does nothing.
+/// The bend of the paper is the angle between two edges, which has no sign. So a rest angle is a couple, a
+/// moment on both edges that is 2 rest times the coefficient of the bend ([`Angle`](super::terms::Angle)): where nothing
+/// else pulls, the sheet turns by its rest angles. Where it ends there is no angle, and what is given for it does
+/// nothing.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RestAngles {
     grid: Grid,
@@ -19,8 +20,8 @@ pub struct RestAngles {
 }
 
 impl RestAngles {
-    /// Returns the rest angles [H, W] of a grid. Fails if the length is not the grid's, or an angle is not between -pi and pi; `origin`
-    /// and `field` name their source.
+    /// Returns the rest angles [H, W] of a grid. Fails if the length is not the grid's, or an angle is not between
+    /// -pi and pi; `origin` and `field` name their source.
     pub fn new(grid: Grid, angles: &[[f64; 2]], origin: &str, field: &str) -> Result<Self> {
         if angles.len() != grid.particles() {
             let expected = format!("{} pairs of angles, one for each particle", grid.particles());

@@ -8,8 +8,8 @@ use serde_json::{Value, json};
 /// Most pleats of a sheet.
 const MOST_PLEATS: usize = 1000;
 
-/// How a sheet is bent where nothing pulls at it ([`RestAngles`]). Angles and curvatures turn it towards its front if they are positive:
-/// the side on which its texture is not mirrored.
+/// How a sheet is bent where nothing pulls at it ([`RestAngles`]). Angles and curvatures turn it towards its front if
+/// they are positive: the side on which its texture is not mirrored.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RestShape {
     /// Lines along which it is folded.
@@ -52,8 +52,9 @@ impl RestShape {
         *self == Self::default()
     }
 
-    /// Returns the angles of the particles of a grid with edges of this length, or `None` for a flat sheet. Fails if a crease
-    /// does not lie within the sheet, or an angle is not between -180 and 180 degrees; `origin` names the scene.
+    /// Returns the angles of the particles of a grid with edges of this length, or `None` for a flat sheet. Fails if
+    /// a crease does not lie within the sheet, or an angle is not between -180 and 180 degrees; `origin` names the
+    /// scene.
     pub(super) fn on(&self, grid: Grid, length_m: f64, origin: &str) -> Result<Option<RestAngles>> {
         if self.is_flat() {
             return Ok(None);
@@ -112,8 +113,8 @@ impl Crease {
     }
 }
 
-/// Reads `{"count", "angle", "along"}`: as many creases, the first and the last half as far from the borders as from each other, which turn
-/// one way and the other by the same angle.
+/// Reads `{"count", "angle", "along"}`: as many creases, the first and the last half as far from the borders as from
+/// each other, which turn one way and the other by the same angle.
 fn read_pleats(node: &Node) -> Result<Vec<Crease>> {
     node.deny_unknown(&["count", "angle", "along"])?;
     let field = |name: &str, what: &str| node.get(name).ok_or_else(|| node.invalid(what));

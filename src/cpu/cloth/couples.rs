@@ -10,13 +10,13 @@ use crate::sim::MAX_DIRECTIONS;
 /// Edges that come nearer to the axis of their couple than the root of this \[edges^2\] feel less of it.
 const NEAREST: f64 = 1e-2;
 
-/// The couples of a cloth in one frame. With the rest angle r of a particle and the coefficient c of its bend, the energy of the paper,
-/// `c t^2`, becomes `c (t - r)^2`, where the angle t has the sign of the side to which the sheet turns
-/// ([`RestAngles`](crate::cloth::RestAngles)).
+/// The couples of a cloth in one frame. With the rest angle r of a particle and the coefficient c of its bend, the
+/// energy of the paper, `c t^2`, becomes `c (t - r)^2`, where the angle t has the sign of the side to which the sheet
+/// turns ([`RestAngles`](crate::cloth::RestAngles)).
 ///
-/// The sign needs an axis about which it turns: the direction d of the other axis of the grid at the particle, where the velocities lead, which
-/// stays the same for the frame. About it, `t = atan2(d . (u x w), u . w - (d . u) (d . w))` with the edges u before and w after the
-/// particle, and the couple's energy is `c (r^2 - 2 r t)`.
+/// The sign needs an axis about which it turns: the direction d of the other axis of the grid at the particle, where
+/// the velocities lead, which stays the same for the frame. About it, with the edges u before and w after the particle,
+/// `t = atan2(d . (u x w), u . w - (d . u) (d . w))`, and the couple's energy is `c (r^2 - 2 r t)`.
 #[derive(Clone, Debug, Default)]
 pub struct Couples<T> {
     hinges: Vec<Hinge<T>>,
@@ -111,8 +111,8 @@ impl<T: Real> Couples<T> {
         self.hinges.iter().map(of_hinge).sum()
     }
 
-    /// Returns about as much energy as cancels between them and the bend of the paper where the cloth has its shape: the rounding
-    /// of both is a share of it.
+    /// Returns about as much energy as cancels between them and the bend of the paper where the cloth has its shape:
+    /// the rounding of both is a share of it.
     pub fn cancelled(&self) -> f64 {
         self.hinges.iter().map(|hinge| (hinge.moment * hinge.angle).f64().abs()).sum()
     }

@@ -14,9 +14,10 @@ const LEAST: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
 /// Which tiles of a moving sheet, each with what is around it, keep all their parts apart.
 ///
-/// With u and v along the mean edges of a tile, the sheet maps the rectangle of the grid into their plane, in each triangle
-/// by a matrix J. If `d . J d >= l |d|^2` everywhere, then two points d apart in the grid stay `l |d|` apart, since the
-/// rectangle is convex. J changes evenly while the particles move evenly: it suffices to look at both ends of the way.
+/// With u and v along the mean edges of a tile, the sheet maps the rectangle of the grid into their plane, in each
+/// triangle by a matrix J. If `d . J d >= l |d|^2` everywhere, then two points d apart in the grid stay `l |d|`
+/// apart, since the rectangle is convex. J changes evenly while the particles move evenly: it suffices to look at
+/// both ends of the way.
 pub(super) struct FlatTiles {
     /// Which patches lie around each tile; `None` of one that is not flat.
     around: Vec<Option<Around>>,
@@ -92,8 +93,9 @@ impl FlatTiles {
         Self { around: vec![None; grid.h.div_ceil(TILE) * across], across }
     }
 
-    /// Whether nothing in a rectangle of patches, each the parts in the cell behind its particle, is near anything in another one: the
-    /// first lies in one tile, the other around that. Of both, `[[row, column]; 2]` are the first patch and the last one.
+    /// Whether nothing in a rectangle of patches, each the parts in the cell behind its particle, is near anything in
+    /// another one: the first lies in one tile, the other around that. Of both, `[[row, column]; 2]` are the first
+    /// patch and the last one.
     #[inline]
     pub fn keep_apart(&self, one: [[usize; 2]; 2], other: [[usize; 2]; 2]) -> bool {
         let [first, last] = one.map(|[row, column]| [row / TILE, column / TILE]);
@@ -106,8 +108,8 @@ impl FlatTiles {
     }
 }
 
-/// Returns the least `d . J d` of a unit vector d in the grid, where J takes a column of it to `across` and a row of it to `along`,
-/// seen along u and v.
+/// Returns the least `d . J d` of a unit vector d in the grid, where J takes a column of it to `across` and a row of
+/// it to `along`, seen along u and v.
 fn least_stretch(u: DVec3, v: DVec3, across: DVec3, along: DVec3) -> f64 {
     let (a, d) = (across.dot(u), along.dot(v));
     let b = 0.5 * (across.dot(v) + along.dot(u));

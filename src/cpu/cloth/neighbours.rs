@@ -8,12 +8,12 @@ use rayon::prelude::*;
 
 /// Number of particles per task.
 const TASK: usize = 512;
-/// How much farther than the distance that is asked for pairs are looked for, in shares of it: two particles may move towards each
-/// other by half of that each.
+/// How much farther than the distance that is asked for pairs are looked for, in shares of it: two particles may move
+/// towards each other by half of that each.
 const MARGIN: f64 = 0.5;
 
-/// For each particle of a cloth those that come nearer to it than a distance, and others that are not much farther away. Particles that
-/// an edge of the triangulated grid joins are left out.
+/// For each particle of a cloth those that come nearer to it than a distance, and others that are not much farther
+/// away. Particles that an edge of the triangulated grid joins are left out.
 #[derive(Clone, Debug)]
 pub struct Neighbours<T> {
     distance: T,
@@ -43,8 +43,8 @@ impl<T: Real> Neighbours<T> {
         (0..n).map(place).collect()
     }
 
-    /// Makes them those of particles at these `places`, nearer than `distance` \[edges\], unless what was found before still holds. The
-    /// bits of what is summed over pairs in range do not depend on when they were found.
+    /// Makes them those of particles at these `places`, nearer than `distance` \[edges\], unless what was found
+    /// before still holds. The bits of what is summed over pairs in range do not depend on when they were found.
     pub fn update(&mut self, grid: Grid, places: &[[T; 3]], distance: T) {
         if self.holds(places, distance) {
             return;

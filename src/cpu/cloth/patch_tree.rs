@@ -31,8 +31,8 @@ struct Node {
 }
 
 impl PatchTree {
-    /// Builds the tree over the boxes of patches, [H, W]; a patch that is nowhere has a box that meets none. Pairs are found of which at least
-    /// one is `wanted`.
+    /// Builds the tree over the boxes of patches, [H, W]; a patch that is nowhere has a box that meets none. Pairs
+    /// are found of which at least one is `wanted`.
     pub fn new(grid: Grid, boxes: Vec<Bounds>, wanted: Vec<bool>) -> Self {
         let mut levels = vec![Level { rows: grid.h, columns: grid.w, boxes, wanted }];
         while let Some(Level { rows, columns, boxes, wanted }) =
@@ -65,8 +65,9 @@ impl PatchTree {
         Self { levels }
     }
 
-    /// Shows each pair of patches whose boxes meet once, by their numbers, to one of the states that `init` makes, until `show` returns false.
-    /// Leaves out what `tiles` keep apart. Returns the states, in an order that does not depend on threads.
+    /// Shows each pair of patches whose boxes meet once, by their numbers, to one of the states that `init` makes,
+    /// until `show` returns false. Leaves out what `tiles` keep apart. Returns the states, in an order that does not
+    /// depend on threads.
     pub fn visit<S: Send>(
         &self,
         tiles: &FlatTiles,

@@ -43,9 +43,9 @@ impl Couple {
         Ok(Self { alone: kernel(1.0)?, after_others: kernel(0.0)? })
     }
 
-    /// Sets `iterate.total` at `iterate.a` to the external accelerations and those by the couples of the `rest_angles`
-    /// [B, n, 2], and the last number of each of the `parts` of the energy [B, parts, 8]. After others, which have set both, it adds.
-    /// Panics if the iterate has no total.
+    /// Sets `iterate.total` at `iterate.a` to the external accelerations and those by the couples of the
+    /// `rest_angles` [B, n, 2], and the last number of each of the `parts` of the energy [B, parts, 8]. After others,
+    /// which have set both, it adds. Panics if the iterate has no total.
     pub fn push(
         &self,
         schedule: &mut Schedule,

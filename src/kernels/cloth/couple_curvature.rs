@@ -40,8 +40,9 @@ impl CoupleCurvature {
         Ok(Self { kernels: directions::ByCount::new(context, &SOURCE, &[])? })
     }
 
-    /// Adds to `parts` [B, parts, 24], which hold those of the other terms ([`super::Curvature`]), the second derivatives of the
-    /// couples of the `rest_angles` [B, n, 2] at `iterate.a` along `directions` ([`directions::shape`]), which are 0 at handles.
+    /// Adds to `parts` [B, parts, 24], which hold those of the other terms ([`super::Curvature`]), the second
+    /// derivatives of the couples of the `rest_angles` [B, n, 2] at `iterate.a` along `directions`
+    /// ([`directions::shape`]), which are 0 at handles.
     pub fn push(
         &self,
         schedule: &mut Schedule,
