@@ -18,7 +18,9 @@ def rollout(scene=SMALL, **options):
     return fnopt.rollout(scene, **options)
 
 
-@pytest.mark.parametrize("scene, solver", [("curtain", "spectral"), ("twist", "spectral"), (None, "fnopt")])
+@pytest.mark.parametrize(
+    "scene, solver", [("curtain", "spectral"), ("pleats", "spectral"), ("twist", "spectral"), (None, "fnopt")]
+)
 def test_frames_and_report_are_those_of_the_command(command, tmp_path, scene, solver):
     options = ["--solver", solver, "--frames", "40", "--device", "cpu", "--no-pictures", "--out", str(tmp_path)]
     subprocess.run([command, "rollout", *([scene] if scene else []), *options], check=True, capture_output=True)
