@@ -3,9 +3,9 @@
 
 use super::Real;
 use super::cloth::{
-    Approach, Contacts, Couples, CurvatureRows, Elements, Frame, GradientRows, Layers, LocalModel,
-    Neighbours, Trial, add_wind, end_frame, energy, gradient, local_model, masses, repulsion,
-    repulsion_curvature, shifts, stretch,
+    Approach, Contacts, Couples, CurvatureRows, Elements, Frame, GradientRows, Layers, LocalModel, NearPairs,
+    Trial, add_wind, end_frame, energy, gradient, local_model, masses, repulsion, repulsion_curvature,
+    shifts, stretch,
 };
 use super::optim::norm;
 use crate::cloth::{BodyStats, Control, EnergyTerms, LayerStats, Mark, Model, State, Sweep};
@@ -47,7 +47,7 @@ pub(super) struct Trials<T> {
     /// Contacts of each cloth in this frame, shape \[B\].
     pub contacts: Vec<Contacts<T>>,
     /// Which particles of each cloth may be near each other, where it repels itself, shape \[B\].
-    near: Vec<Neighbours<T>>,
+    near: Vec<NearPairs<T>>,
     /// Couples of each cloth in this frame, shape \[B\].
     pub couples: Vec<Couples<T>>,
 }
@@ -71,7 +71,7 @@ impl<T: Real> Objective<T> {
             masses: Vec::new(),
             elements: Vec::new(),
             contacts: vec![Contacts::default(); model.batch()],
-            near: vec![Neighbours::default(); model.batch()],
+            near: vec![NearPairs::default(); model.batch()],
             couples: vec![Couples::default(); model.batch()],
         };
         trial.mark();
@@ -210,7 +210,7 @@ impl<T: Real> Objective<T> {
             shifts(frame, &state.x[at.clone()], &state.v[at.clone()], shift);
             contacts[b].move_to(shift);
             if let Some(of_cloth) = model.cloths[b].repulsion {
-                let places = Neighbours::places(&marks[b * cloth / 3..][..cloth / 3], &state.x[at], shift);
+                let places = NearPairs::places(&marks[b * cloth / 3..][..cloth / 3], &state.x[at], shift);
                 near[b].update(model.grid, &places, T::of(of_cloth.distance));
             }
         }

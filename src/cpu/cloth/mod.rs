@@ -17,7 +17,7 @@ mod gradient;
 mod hessian;
 mod integrate;
 mod layers;
-mod neighbours;
+mod near_pairs;
 mod particles;
 mod patch_tree;
 mod plain;
@@ -44,7 +44,7 @@ pub use gradient::{GradientRows, gradient};
 pub use hessian::{AFTER, Block, Coupling, Hessian, Projection, neighbours};
 pub use integrate::{Frame, end_frame, shifts};
 pub use layers::Layers;
-pub use neighbours::Neighbours;
+pub use near_pairs::NearPairs;
 pub(super) use particles::add_own_block;
 pub use particles::masses;
 pub use plain::{PlainTotal, plain_total};
@@ -86,7 +86,7 @@ pub struct Trial<'a, T> {
     /// The edges and angles that the cloth has, unless it has those of the whole grid, all evenly stiff ([`Elements::of`]).
     pub elements: Option<&'a Elements<T>>,
     /// Which particles may be near each other; they are searched for if that is not known.
-    pub near: Option<&'a Neighbours<T>>,
+    pub near: Option<&'a NearPairs<T>>,
 }
 
 impl<'a, T: Real> Trial<'a, T> {

@@ -2,7 +2,7 @@
 
 use super::Trial;
 use super::hessian::{Block, Coupling, Projection};
-use super::neighbours::Neighbours;
+use super::near_pairs::NearPairs;
 use super::vector::{add, at, dot, scaled, sub};
 use crate::cloth::Repulsion;
 use crate::cpu::Real;
@@ -158,7 +158,7 @@ struct Range<'a, T: Real> {
     /// Where they are \[edges\].
     places: Vec<[T; 3]>,
     /// Those that may be near each other.
-    near: Cow<'a, Neighbours<T>>,
+    near: Cow<'a, NearPairs<T>>,
     /// The distance below which they repel each other \[edges\].
     distance: T,
     softening: T,
@@ -170,11 +170,11 @@ impl<'a, T: Real> Range<'a, T> {
     /// Finds those of a trial, unless it has them already.
     fn of(trial: &Trial<'a, T>, repulsion: Repulsion) -> Self {
         let (distance, softening) = (T::of(repulsion.distance), T::of(Repulsion::SOFTENING));
-        let places = Neighbours::places(trial.marks, trial.x, trial.shift);
+        let places = NearPairs::places(trial.marks, trial.x, trial.shift);
         let near = match trial.near.filter(|near| near.are_within(distance)) {
             Some(near) => Cow::Borrowed(near),
             None => {
-                let mut near = Neighbours::default();
+                let mut near = NearPairs::default();
                 near.update(trial.grid, &places, distance);
                 Cow::Owned(near)
             }

@@ -64,7 +64,7 @@ pub struct Room {
     pub bodies: usize,
     /// Number of 32-bit values of the distances of bodies that are meshes ([`Fields`](super::Fields)).
     pub fields: usize,
-    /// Whether cloths may have angles at rest, which cost two dispatches in every evaluation.
+    /// Whether cloths may have angles at rest, which cost two dispatches in every iteration.
     pub rest_angles: bool,
     /// Whether the iterate has the hidden state of a network.
     pub hidden: bool,
@@ -228,11 +228,8 @@ impl Objective {
 
     /// Returns the parts of the energy in which an evaluation leaves that of repulsion, contacts and couples, if there are any.
     pub fn position_parts(&self) -> Option<&Tensor> {
-        let has_any = self.repulsion.is_some()
-            || self.contacts.is_some()
-            || self.layers.is_some()
-            || self.couples.is_some();
-        has_any.then_some(&self.parts)
+        // Where they act, the gradient sees a total of accelerations.
+        self.iterate.total.as_ref().map(|_| &self.parts)
     }
 
     /// Appends the start of a frame: the displacement by the velocities and of the handles to their targets, and the
@@ -342,15 +339,17 @@ impl Objective {
     /// Appends the forces that depend on the positions, and their energy.
     fn push_by_positions(&self, schedule: &mut Schedule) {
         self.repel(schedule);
+        // The first of them sets the sums to which the others add.
+        let mut after_others = self.repulsion.is_some();
         if let Some(contacts) = &self.contacts {
-            contacts.push(schedule, self.trial(), self.repulsion.is_some(), &self.parts);
+            contacts.push(schedule, self.trial(), after_others, &self.parts);
+            after_others = true;
         }
         if let Some(layers) = &self.layers {
-            let after_others = self.repulsion.is_some() || self.contacts.is_some();
             layers.push(schedule, self.trial(), after_others, &self.parts);
+            after_others = true;
         }
         if let Some(couples) = &self.couples {
-            let after_others = self.repulsion.is_some() || self.contacts.is_some() || self.layers.is_some();
             couples.push(schedule, self.trial(), after_others, &self.parts);
         }
     }

@@ -60,8 +60,9 @@ pub struct Iterate {
     /// External accelerations [edges / frame^2], shape [B, 3, n]. They follow `base` in one buffer, so that kernels
     /// that read both can bind them as one.
     pub external: Tensor,
-    /// The external accelerations plus those of the repulsion, shape [B, 3, n], in the same buffer; `None` without
-    /// a repulsion. To the gradient a repulsion is an external force, since it depends on positions alone.
+    /// The external accelerations plus those of repulsion, contacts and couples, shape [B, 3, n], in the same buffer;
+    /// `None` where there are none of them. To the gradient they are external forces, since they depend on positions
+    /// alone.
     pub total: Option<Tensor>,
     /// What each particle is ([`Mark`]), shape [B, n].
     pub marks: Tensor,

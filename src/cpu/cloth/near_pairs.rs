@@ -15,24 +15,24 @@ const MARGIN: f64 = 0.5;
 /// For each particle of a cloth those that come nearer to it than a distance, and others that are not much farther
 /// away. Particles that an edge of the triangulated grid joins are left out.
 #[derive(Clone, Debug)]
-pub struct Neighbours<T> {
+pub struct NearPairs<T> {
     distance: T,
     /// Where the particles were \[edges\]; infinitely far for those that the cloth doesn't have.
     places: Vec<[T; 3]>,
-    /// Of each particle, how many neighbours it and those before it have.
+    /// How many particle p and those before it have together.
     ends: Vec<u32>,
-    /// The neighbours of one particle after another, by their numbers, which ascend.
+    /// Those of one particle after another, by their numbers, which ascend.
     all: Vec<u32>,
 }
 
-impl<T: Real> Default for Neighbours<T> {
+impl<T: Real> Default for NearPairs<T> {
     /// Returns those of no particles.
     fn default() -> Self {
         Self { distance: T::zero(), places: Vec::new(), ends: Vec::new(), all: Vec::new() }
     }
 }
 
-impl<T: Real> Neighbours<T> {
+impl<T: Real> NearPairs<T> {
     /// Returns the positions of the particles with these `marks` [H, W] at `x + shift`, both [3, H, W].
     pub fn places(marks: &[Mark], x: &[T], shift: &[T]) -> Vec<[T; 3]> {
         let n = marks.len();
@@ -85,7 +85,10 @@ impl<T: Real> Neighbours<T> {
         if self.distance != distance || self.places.len() != places.len() {
             return false;
         }
-        let moves = || self.places.iter().zip(places).filter(|(before, _)| before[0] != T::infinity());
+        // A particle that the cloth gains or loses has moved, one that it never had has not.
+        let is_there = |place: &[T; 3]| place[0] != T::infinity();
+        let moves =
+            || self.places.iter().zip(places).filter(|(before, now)| is_there(before) || is_there(now));
         let (mut mean, mut count) = ([T::zero(); 3], T::zero());
         for (before, now) in moves() {
             mean = add(mean, sub(*now, *before));
@@ -118,7 +121,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn neighbours_hold_until_a_particle_has_moved() {
+    fn pairs_hold_until_a_particle_has_moved() {
         let grid = Grid { h: 9, w: 11 };
         // A sheet folded in the middle, whose layers are half an edge apart.
         let place = |p: usize| {
@@ -133,10 +136,10 @@ mod tests {
             };
             (0..grid.particles()).filter(near).map(|q| q as u32).collect()
         };
-        let mut found = Neighbours::default();
+        let mut found = NearPairs::default();
         found.update(grid, &places, 0.8);
         let all =
-            |found: &Neighbours<f64>| (0..grid.particles()).map(|p| found.of(p).to_vec()).collect::<Vec<_>>();
+            |found: &NearPairs<f64>| (0..grid.particles()).map(|p| found.of(p).to_vec()).collect::<Vec<_>>();
         let before = all(&found);
         assert!((0..grid.particles()).all(|p| found.of(p) == brute(&places, p, 1.2)));
         assert!(before.iter().any(|near| !near.is_empty()));
@@ -156,6 +159,13 @@ mod tests {
         );
         found.update(grid, &places, 0.4);
         assert!((0..grid.particles()).all(|p| found.of(p) == brute(&places, p, 0.6)));
+        // What the cloth loses, never has, and gets back.
+        let lost = std::mem::replace(&mut places[12], [f64::INFINITY; 3]);
+        assert!(!found.holds(&places, 0.4));
+        found.update(grid, &places, 0.4);
+        assert!(found.of(12).is_empty() && found.holds(&places, 0.4));
+        places[12] = lost;
+        assert!(!found.holds(&places, 0.4));
         places[12][0] = f64::NAN;
         found.update(grid, &places, 0.4);
         assert!(found.of(12).is_empty() && !found.holds(&places, 0.4));
