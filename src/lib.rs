@@ -6,21 +6,21 @@
 //! too.
 //!
 //! ```
-//! use fnopt::network::Weights;
-//! use fnopt::scene::Scene;
-//! use fnopt::sim::Optimizer;
-//! use fnopt::{Device, Simulator};
+//! use fnopt::{Optimizer, Scene, Simulation};
 //!
-//! let setup = Scene::default().setup()?; // a sheet hanging from two corners, grid units inside
-//! let optimizer = Optimizer::learned(Weights::shipped());
-//! let mut simulator = Simulator::new(&Device::Cpu, &setup.model, &optimizer, 10)?;
-//! simulator.set_state(&setup.start.cast());
-//! for frame in 1..4 {
-//!     let frame = simulator.step(&setup.control(frame))?;
-//!     println!("{:?} m", setup.vertices_m(&frame.state.x)[0]);
+//! let scene = Scene::default(); // a sheet of a square metre that hangs from two corners, which move
+//! let mut simulation = Simulation::new(&scene, &Optimizer::spectral())?;
+//! for _ in 1..4 {
+//!     let frame = simulation.step()?;
+//!     println!("frame {}: mean stretch {:.2} %", frame.index, 100.0 * frame.stats[0].stretch_mean);
 //! }
+//! println!("{:?} m", simulation.positions()[0]);
 //! # Ok::<(), fnopt::Error>(())
 //! ```
+//!
+//! With the feature `weights`, `Optimizer::learned(Weights::shipped())` adds the network. Scenes come from files ([`Scene::load`]), by name
+//! ([`Scene::named`]) or from code ([`scene`]). [`Simulator`] is the layer below, in grid units and on a device of the caller's;
+//! [`Solver`] records a frame into the encoder of a host that draws.
 //!
 //! # Data flow
 //!
@@ -28,6 +28,7 @@
 //! scene::Scene (SI units) -> scene::Setup: cloth::Model (grid, material, air, handles) + cloth::State (x, v), grid units
 //! cloth::Control (this frame's handles, wind, external accelerations) -> sim::Solver or cpu::Solver -> the next State
 //! Simulator: submits, reads back -> io::Recording, io::write, render::strip; or sim::Vertices, a vertex buffer in the caller's pass
+//! Simulation: all of these for scenes that it owns, in SI units again; Python and C see no more than that
 //! ```
 //!
 //! The stages exist twice, with the same meaning. [`cpu`] implements them in plain Rust, in single or double
@@ -104,14 +105,16 @@
 //! | [`kernels`] | the host side of each file in `shaders/`, in the same tree |
 //! | [`network`] | sizes, weights, checkpoints, the forward and backward passes as dispatches |
 //! | [`sim`] | optimizers, and the solver on a device |
+//! | [`device`] | the choice of a device, opened with what is stored for it |
 //! | [`cpu`] | the same stages without a GPU, and the converged minimum of a frame and of a cloth at rest |
 //! | [`scene`] | scene files, motions, materials, conversion to grid units, the settled start |
 //! | [`Simulator`] | frames on any device, read back |
+//! | [`Simulation`] | scenes on any device, in SI units |
 //! | [`eval`] | comparison with recorded sequences, suites, material fitting |
 //! | [`train`] | pools of cloths, the run loop and its files |
 //! | [`verify`] | checks of every stage against golden files |
 //! | `view` | a window in which a scene runs or a trajectory is played back |
-//! | `bindings` | what the interfaces to other languages share: a simulation that owns its scenes |
+//! | `bindings` | what the interfaces to other languages share: names of solvers and devices |
 //! | `python`, `capi` | the Python package (`docs/python.md`) and the C interface (`docs/c.md`) |
 //!
 //! [`eval`], [`train`] and [`verify`] belong to the feature `lab`, [`render`] to the feature `render`; `weights` embeds the shipped
@@ -136,6 +139,7 @@ mod bindings;
 pub mod capi;
 pub mod cloth;
 pub mod cpu;
+pub mod device;
 mod error;
 #[cfg(feature = "lab")]
 pub mod eval;
@@ -151,6 +155,7 @@ pub mod render;
 pub mod scene;
 pub mod settings;
 pub mod sim;
+mod simulation;
 mod simulator;
 mod statistics;
 #[cfg(feature = "lab")]
@@ -160,8 +165,13 @@ pub mod verify;
 #[cfg(feature = "view")]
 pub mod view;
 
+pub use device::{Device, DeviceChoice, DeviceKind};
 pub use error::{Error, Result};
-pub use simulator::{Device, Frame, Simulator};
+pub use network::Weights;
+pub use scene::Scene;
+pub use sim::{Optimizer, Solver, Vertices};
+pub use simulation::{Prescribed, Simulation, SimulationOptions, Snapshot};
+pub use simulator::{Frame, Simulator};
 // Crates whose types are part of this interface.
 pub use {bytemuck, glam, ndarray, serde_json, wgpu};
 
@@ -212,7 +222,7 @@ mod tests {
             }
         }
         // Those of the crate's root stand for the module that they come from.
-        let of_root = |name| if ["Device", "Frame"].contains(&name) { "simulator" } else { name };
+        let of_root = |name| if name == "Frame" { "simulator" } else { name };
         // A group may end with a comma.
         names.into_iter().filter(|name| !name.is_empty()).map(|name| of_root(name).to_lowercase()).collect()
     }
@@ -221,7 +231,7 @@ mod tests {
     fn names_are_found_in_every_form_of_use() {
         let text = "use crate::{io::{a, b},\n    train, // crate::no\n};\n// crate::no\nlet x = crate::sim::f(crate::gpu);";
         assert_eq!(used(text), ["io", "train", "sim", "gpu"]);
-        assert_eq!(used("use crate::Device; use crate::cloth::{Grid, Model};"), ["simulator", "cloth"]);
+        assert_eq!(used("use crate::Device; use crate::cloth::{Grid, Model};"), ["device", "cloth"]);
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Frames on any device, submitted and read back.
 
 use crate::cloth::{Cloth, Control, Model, State};
+use crate::device::{Device, DeviceChoice, Opened};
 use crate::gpu::{Context, Readback, Storage};
 use crate::scene::Course;
 use crate::sim::{FrameStats, Memory, Optimizer, Solver};
@@ -8,31 +9,6 @@ use crate::{Error, Result, cpu};
 use std::iter::Peekable;
 use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
-
-/// The device that runs a simulation.
-#[derive(Clone, Debug)]
-pub enum Device {
-    /// The host's processor, in single precision, with all threads of the current rayon pool.
-    Cpu,
-    /// A wgpu device.
-    Gpu(Context),
-}
-
-impl Device {
-    /// Returns the name of the device, and the storage of networks on it if it is not single precision.
-    pub fn name(&self) -> String {
-        match self {
-            Self::Cpu => match rayon::current_num_threads() {
-                1 => "cpu, 1 thread".into(),
-                threads => format!("cpu, {threads} threads"),
-            },
-            Self::Gpu(context) => match context.storage() {
-                Storage::F32 => context.name().to_owned(),
-                Storage::F16 => format!("{}, network in f16", context.name()),
-            },
-        }
-    }
-}
 
 /// A batch of cloths that advances frame by frame: a convenience layer over [`Solver`] and [`cpu::Solver`].
 ///
@@ -60,6 +36,7 @@ enum Backend {
 
 /// One frame of a batch.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct Frame {
     /// Number of the frame; the start state is 0.
     pub index: usize,
@@ -92,6 +69,38 @@ impl Simulator {
             }
         };
         Ok(Self { backend, frame: 0 })
+    }
+
+    /// Opens the device of a choice and builds a solver there as [`Simulator::new`] does. Where the choice is open, the CPU takes the
+    /// place of a GPU whose driver or memory is not up to it, with a warning, but for networks in half precision, which the CPU lacks.
+    ///
+    /// Fails as [`DeviceChoice::open`] and [`Simulator::new`] do.
+    pub fn on(
+        choice: &DeviceChoice,
+        model: &Model,
+        optimizer: &Optimizer,
+        iterations: usize,
+    ) -> Result<(Self, Opened)> {
+        let gives_way = choice.is_open() && choice.storage == Storage::F32;
+        Self::on_opened(choice.open_for(optimizer)?, gives_way, model, (optimizer, iterations))
+    }
+
+    fn on_opened(
+        opened: Opened,
+        gives_way: bool,
+        model: &Model,
+        (optimizer, iterations): (&Optimizer, usize),
+    ) -> Result<(Self, Opened)> {
+        match Self::new(&opened.device, model, optimizer, iterations) {
+            Err(Error::Device(error) | Error::Lost(error))
+                if gives_way && matches!(opened.device, Device::Gpu(_)) =>
+            {
+                tracing::warn!("{error}");
+                let opened = Opened { device: Device::Cpu, why: "the hardware adapter cannot run this" };
+                Ok((Self::new(&opened.device, model, optimizer, iterations)?, opened))
+            }
+            created => created.map(|simulator| (simulator, opened)),
+        }
     }
 
     /// Replaces the state, resets the optimizer's memory and counts frames from 0 again.
@@ -375,5 +384,30 @@ impl Backend {
             }
         }
         Ok(frames)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cloth::Grid;
+    use crate::gpu::AdapterChoice;
+    use crate::scene::Scene;
+
+    /// Software adapters refuse L-BFGS on this many particles.
+    #[test]
+    fn a_gpu_that_cannot_run_a_simulation_gives_way_only_where_the_choice_is_open() {
+        let mut scene = Scene::default();
+        scene.regrid(Grid { h: 500, w: 500 }).unwrap();
+        let model = scene.setup().unwrap().model;
+        let device = Device::Gpu(Context::headless(&AdapterChoice::Name("llvmpipe".into())).unwrap());
+        let created = |gives_way| {
+            let opened = Opened { device: device.clone(), why: "opened" };
+            Simulator::on_opened(opened, gives_way, &model, (&Optimizer::lbfgs(), 1))
+        };
+        let (_, opened) = created(true).unwrap();
+        assert!(matches!(opened.device, Device::Cpu), "{opened}");
+        assert!(opened.to_string().ends_with("(the hardware adapter cannot run this)"), "{opened}");
+        assert!(matches!(created(false), Err(Error::Device(_))));
     }
 }

@@ -1,17 +1,15 @@
-//! What the interfaces to other languages share: a simulation that owns its scenes, the choice of a device, reports.
+//! What the interfaces to other languages share: solvers and devices by name, scenes by name or file, reports.
 
 // C needs a part of it.
 #![cfg_attr(not(feature = "python"), allow(dead_code, unused_imports))]
 
-mod device;
 #[cfg(feature = "python")]
 mod report;
-mod session;
+mod settings;
 
-pub(crate) use device::{Settings, solvers};
 #[cfg(feature = "python")]
 pub(crate) use report::{Report, Status};
-pub(crate) use session::{Control, Session, Snapshot};
+pub(crate) use settings::{Settings, solvers};
 
 use crate::cloth::Grid;
 use crate::scene::{NamedScene, Scene};

@@ -1,7 +1,7 @@
 //! The report of a rollout, with the fields of the command's `report.json`.
 
 use super::Settings;
-use super::device::absolute;
+use super::settings::absolute;
 use crate::eval::{FrameReport, Verdict, median_time};
 use crate::scene::Scene;
 use crate::sim::{FrameStats, Optimizer};

@@ -2,15 +2,15 @@
 
 use super::check::{FnoptStatus, give, missing, room, slice, status, text, value};
 use super::scene::FnoptScene;
-use crate::bindings::{Control, Session, Settings};
+use crate::bindings::Settings;
 use crate::scene::Scene;
-use crate::{Error, Result};
+use crate::{Error, Prescribed, Result, Simulation};
 use std::ffi::c_char;
 use std::path::PathBuf;
 
 /// One cloth or a batch of cloths on one grid. Threads may use different simulations at the same time, but not the same one.
 pub struct FnoptSimulation {
-    session: Session,
+    simulation: Simulation,
 }
 
 /// What computes a simulation. Zeros and NULLs stand for the defaults.
@@ -85,7 +85,7 @@ pub unsafe extern "C" fn fnopt_simulation_new(
             settings.checkpoint = text(options.checkpoint, "checkpoint")?.map(PathBuf::from);
             settings.iterations = (options.iterations > 0).then_some(options.iterations);
         }
-        let make = || Ok(FnoptSimulation { session: Session::new(&scenes, 1, &settings)? });
+        let make = || Ok(FnoptSimulation { simulation: settings.simulation(&scenes, 1)? });
         // SAFETY: the caller's.
         unsafe { give(make, simulation, "simulation") }
     })
@@ -105,24 +105,24 @@ pub unsafe extern "C" fn fnopt_step(
     control: Option<&FnoptControl>,
 ) -> FnoptStatus {
     status(|| {
-        let session = &mut simulation.ok_or_else(none)?.session;
-        let mut given = Control::default();
+        let inner = &mut simulation.ok_or_else(none)?.simulation;
+        let mut given = Prescribed::default();
         if let Some(control) = control {
-            let cloths = session.setups().len();
+            let cloths = inner.setups().len();
             // SAFETY: the caller's.
             let points = |argument, count| unsafe { points(argument, count) };
             given.handles = points(control.handles, control.handle_count);
             given.wind = points(control.wind, cloths);
-            given.accelerations = points(control.accelerations, cloths * session.particles());
+            given.accelerations = points(control.accelerations, cloths * inner.particles());
         }
-        session.step(&given)
+        inner.step_with(&given).map(|_| ())
     })
 }
 
 /// Goes back to the start of the scenes.
 #[unsafe(no_mangle)]
 pub extern "C" fn fnopt_reset(simulation: Option<&mut FnoptSimulation>) -> FnoptStatus {
-    status(|| simulation.ok_or_else(none)?.session.reset())
+    status(|| simulation.ok_or_else(none)?.simulation.reset())
 }
 
 /// Replaces the positions (m) and velocities (m/s) of one cloth, x y z for each particle. Velocities may be NULL for zeros. The
@@ -136,15 +136,15 @@ pub unsafe extern "C" fn fnopt_set_state(
     count: usize,
 ) -> FnoptStatus {
     status(|| {
-        let session = &mut simulation.ok_or_else(none)?.session;
-        let n = session.particles();
+        let inner = &mut simulation.ok_or_else(none)?.simulation;
+        let n = inner.particles();
         if count != 3 * n {
             return Err(Error::invalid("argument", "count", (3 * n).to_string(), count));
         }
         // SAFETY: the caller's.
         let [positions, velocities] = unsafe { [points(positions, n), points(velocities, n)] };
         let positions = positions.ok_or_else(|| missing("positions"))?;
-        session.set_cloth_state(cloth, &positions, &velocities.unwrap_or_else(|| vec![[0.0; 3]; n]))
+        inner.set_cloth_state(cloth, &positions, &velocities.unwrap_or_else(|| vec![[0.0; 3]; n]))
     })
 }
 
@@ -156,7 +156,7 @@ pub unsafe extern "C" fn fnopt_positions(
     count: usize,
 ) -> FnoptStatus {
     // SAFETY: the caller's.
-    status(|| unsafe { read(simulation, buffer, count, Session::positions) })
+    status(|| unsafe { read(simulation, buffer, count, Simulation::write_positions) })
 }
 
 /// Writes the velocities (m/s) of all cloths likewise.
@@ -167,7 +167,7 @@ pub unsafe extern "C" fn fnopt_velocities(
     count: usize,
 ) -> FnoptStatus {
     // SAFETY: the caller's.
-    status(|| unsafe { read(simulation, buffer, count, Session::velocities) })
+    status(|| unsafe { read(simulation, buffer, count, Simulation::write_velocities) })
 }
 
 /// Writes the triangles of a cloth, three numbers of particles each, and returns how many there are. With NULL, it only does
@@ -178,7 +178,7 @@ pub unsafe extern "C" fn fnopt_faces(
     buffer: *mut u32,
     count: usize,
 ) -> usize {
-    let faces = || simulation.map_or(Vec::new(), |of| of.session.faces());
+    let faces = || simulation.map_or(Vec::new(), |of| of.simulation.faces());
     // SAFETY: the caller's.
     value(0, || unsafe { list(faces().as_flattened(), buffer, count) } / 3)
 }
@@ -192,7 +192,7 @@ pub unsafe extern "C" fn fnopt_handles(
     count: usize,
 ) -> usize {
     value(0, || {
-        let cloths = simulation.map_or(&[][..], |of| of.session.cloths());
+        let cloths = simulation.map_or(&[][..], |of| of.simulation.cloths());
         let held: Vec<u32> = cloths.iter().flat_map(|cloth| &cloth.handles).map(|&p| p as u32).collect();
         // SAFETY: the caller's.
         unsafe { list(&held, buffer, count) }
@@ -207,11 +207,11 @@ pub unsafe extern "C" fn fnopt_stats(
     cloths: usize,
 ) -> FnoptStatus {
     status(|| {
-        let session = &simulation.ok_or_else(none)?.session;
+        let inner = &simulation.ok_or_else(none)?.simulation;
         // SAFETY: the caller's.
-        let room = unsafe { room(stats, cloths, session.setups().len(), "stats") }?;
+        let room = unsafe { room(stats, cloths, inner.setups().len(), "stats") }?;
         room.fill(FnoptStats::default());
-        for (to, of) in room.iter_mut().zip(&session.frame().stats) {
+        for (to, of) in room.iter_mut().zip(&inner.frame().stats) {
             *to = FnoptStats {
                 energy: of.energy.total(),
                 gradient_first: of.gradient_first,
@@ -227,31 +227,31 @@ pub unsafe extern "C" fn fnopt_stats(
 /// Returns the number of cloths; 0 for NULL, as the functions below.
 #[unsafe(no_mangle)]
 pub extern "C" fn fnopt_cloths(simulation: Option<&FnoptSimulation>) -> usize {
-    value(0, || simulation.map_or(0, |of| of.session.setups().len()))
+    value(0, || simulation.map_or(0, |of| of.simulation.setups().len()))
 }
 
 /// Returns the number of particles of a cloth.
 #[unsafe(no_mangle)]
 pub extern "C" fn fnopt_particles(simulation: Option<&FnoptSimulation>) -> usize {
-    value(0, || simulation.map_or(0, |of| of.session.particles()))
+    value(0, || simulation.map_or(0, |of| of.simulation.particles()))
 }
 
 /// Returns the number of the last frame; the start is 0.
 #[unsafe(no_mangle)]
 pub extern "C" fn fnopt_frame(simulation: Option<&FnoptSimulation>) -> usize {
-    value(0, || simulation.map_or(0, |of| of.session.frame().index))
+    value(0, || simulation.map_or(0, |of| of.simulation.frame().index))
 }
 
 /// Returns the number of frames of the longest scene, including the start.
 #[unsafe(no_mangle)]
 pub extern "C" fn fnopt_frames(simulation: Option<&FnoptSimulation>) -> usize {
-    value(0, || simulation.map_or(0, |of| of.session.frames()))
+    value(0, || simulation.map_or(0, |of| of.simulation.frames()))
 }
 
 /// Returns the duration of a frame (s).
 #[unsafe(no_mangle)]
 pub extern "C" fn fnopt_frame_time(simulation: Option<&FnoptSimulation>) -> f64 {
-    value(0.0, || simulation.map_or(0.0, |of| of.session.setups()[0].units.frame_time_s))
+    value(0.0, || simulation.map_or(0.0, |of| of.simulation.setups()[0].units.frame_time_s))
 }
 
 fn none() -> Error {
@@ -263,12 +263,12 @@ unsafe fn read(
     simulation: Option<&FnoptSimulation>,
     buffer: *mut f32,
     count: usize,
-    write: fn(&Session, &mut [f32]),
+    write: fn(&Simulation, &mut [f32]),
 ) -> Result<()> {
-    let session = &simulation.ok_or_else(none)?.session;
-    let expected = 3 * session.setups().len() * session.particles();
+    let inner = &simulation.ok_or_else(none)?.simulation;
+    let expected = 3 * inner.setups().len() * inner.particles();
     // SAFETY: the caller's.
-    write(session, unsafe { room(buffer, count, expected, "buffer") }?);
+    write(inner, unsafe { room(buffer, count, expected, "buffer") }?);
     Ok(())
 }
 

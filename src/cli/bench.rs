@@ -148,8 +148,9 @@ pub fn run(args: &Args) -> Result<Ending> {
         return Err(Error::invalid(path.display().to_string(), "rows", expected, "only others").into());
     }
     let on_gpu = solvers.iter().find(|of| of.optimizer.runs_on_gpu()).unwrap_or(&solvers[0]);
-    let (device, line) = args.device.open_for(&on_gpu.optimizer)?;
-    status!("{line}");
+    let opened = args.device.choice().open_for(&on_gpu.optimizer)?;
+    status!("device: {opened}");
+    let device = opened.device;
     let interrupted = interrupt_flag();
     let (mut rows, mut failures, mut first_error) = (Vec::new(), Vec::new(), None);
     let (mut out, several) = (output(), solvers.len() > 1);

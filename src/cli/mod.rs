@@ -22,6 +22,7 @@ mod view;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use fnopt::cloth::Grid;
+use fnopt::device::{close_all, store_pipelines};
 use fnopt::eval::{Sequence, median};
 use fnopt::io::{create_folder, folder_of, is_stream, target_of};
 use fnopt::network::Weights;
@@ -223,8 +224,9 @@ pub fn run(cli: Cli) -> ExitCode {
         Command::Tune(args) => tune::run(&args),
     };
     if stores {
-        device::store_pipelines();
+        store_pipelines();
     }
+    close_all();
     match ending {
         Ok(Ending::Done) => ExitCode::SUCCESS,
         Ok(Ending::CheckFailed) => ExitCode::from(1),

@@ -9,14 +9,13 @@ use super::{
     writable_folder,
 };
 use anyhow::Result;
-use fnopt::Frame;
 use fnopt::cloth::State;
 use fnopt::eval::{FrameReport, Soundness, Verdict, median_time};
 use fnopt::io::{Format, Frames, Recording, Trajectory, WriteOptions, write_atomic};
 use fnopt::render::{Bodies, Film, GifOptions, Marks, StripOptions, View, strip, write_gif, write_png};
 use fnopt::scene::{MAX_FRAMES, Motion, RepulsionSettings, Scene, Script, Setup, UpAxis};
 use fnopt::sim::Optimizer;
-use fnopt::{Error, io};
+use fnopt::{Error, Frame, Simulator, io};
 use std::borrow::Cow;
 use std::cell::OnceCell;
 use std::collections::BTreeSet;
@@ -139,10 +138,10 @@ fn simulate(args: &Args) -> Result<Ending> {
     };
     let against = args.against.as_deref();
     let against = against.map(|text| Against::new(text, args.solver.checkpoint(), &setup)).transpose()?;
-    let solver = (&optimizer, args.solver.iterations(&optimizer));
-    let (mut simulator, device, line) = args.device.simulator(&setup.model, solver)?;
+    let iterations = args.solver.iterations(&optimizer);
+    let (mut simulator, opened) = Simulator::on(&args.device.choice(), &setup.model, &optimizer, iterations)?;
     let interrupted = interrupt_flag();
-    status!("{line}");
+    status!("device: {opened}");
     writable_folder(&args.out)?;
     args.files().iter().chain([&args.replay()]).try_for_each(|file| writable_file(file))?;
     args.folders().iter().try_for_each(|folder| writable_folder(folder))?;
@@ -161,7 +160,7 @@ fn simulate(args: &Args) -> Result<Ending> {
         recording.push(&positions, &velocities)?;
     }
     let soundness = Soundness::after(script.clone(), &start);
-    let mut run = Run::new(args, (&scene, soundness), &optimizer, (device.name(), recording));
+    let mut run = Run::new(args, (&scene, soundness), &optimizer, (opened.device.name(), recording));
     (run.frames, run.last, run.against) = (last + 1, start, against);
     let bar = progress((setup.frames() - run.frames) as u64, "frames");
     let mut kept = Ok(());
@@ -698,7 +697,7 @@ fn names(files: &[PathBuf]) -> impl Iterator<Item = Cow<'_, str>> {
 mod tests {
     use super::*;
     use clap::Parser;
-    use fnopt::{Device, Simulator};
+    use fnopt::Device;
 
     #[derive(Parser)]
     struct Alone {

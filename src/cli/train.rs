@@ -4,10 +4,10 @@ use super::device::DeviceArgs;
 use super::output::{output, progress, status};
 use super::{Ending, interrupt_flag};
 use anyhow::Result;
-use fnopt::Device;
 use fnopt::Error;
 use fnopt::network::Weights;
 use fnopt::train::{Config, End, Limits, Progress, Ranks, Run, SceneScore, initial_weights, learner, ranks};
+use fnopt::{Device, DeviceChoice};
 use indicatif::ProgressBar;
 use std::io::Write;
 use std::ops::ControlFlow;
@@ -143,13 +143,12 @@ impl Args {
 
     /// Opens the device of this rank.
     fn opened(&self, ranks: &dyn Ranks) -> fnopt::Result<Device> {
-        let (device, line) = self.device.open_for_process(ranks.local_rank())?;
-        let line = match ranks.count() {
-            1 => line,
-            count => format!("rank {} of {count}: {line}", ranks.rank()),
-        };
-        status!("{line}");
-        Ok(device)
+        let opened = DeviceChoice { process: ranks.local_rank(), ..self.device.choice() }.open()?;
+        match ranks.count() {
+            1 => status!("device: {opened}"),
+            count => status!("rank {} of {count}: device: {opened}", ranks.rank()),
+        }
+        Ok(opened.device)
     }
 }
 

@@ -1,6 +1,6 @@
 //! `fnopt tune`: finds the fastest tile sizes for an adapter.
 
-use super::device::{DeviceArgs, DeviceKind};
+use super::device::gpu;
 use super::output::{output, status};
 use super::{Ending, SolverArgs, default_scenes, go_on, interrupt_flag, one_grid, writable_file};
 use anyhow::Result;
@@ -42,11 +42,11 @@ pub fn run(args: &Args) -> Result<Ending> {
     }
     let setups = default_scenes(one_grid(&args.grid)?, args.batch as usize)?;
     let start = setups.start.cast();
-    let device = DeviceArgs { device: DeviceKind::Gpu, adapter: args.adapter.clone() };
-    let (Device::Gpu(context), line) = device.open()? else {
+    let opened = gpu(&args.adapter).open()?;
+    status!("device: {opened}");
+    let Device::Gpu(context) = opened.device else {
         return Err(Error::Device("the CPU path has nothing to tune".into()).into());
     };
-    status!("{line}");
     if let Some(path) = Tuning::path(&context).filter(|_| !args.dry_run) {
         writable_file(&path)?;
     }

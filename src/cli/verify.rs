@@ -1,7 +1,7 @@
 //! `fnopt verify`: checks every stage against golden files.
 
 use super::Ending;
-use super::device::{DeviceKind, InferenceArgs};
+use super::device::InferenceArgs;
 use super::output::{output, status};
 use anyhow::Result;
 use fnopt::verify::{Check, CpuStages, GpuStages, Stages, Verdict, verify_folder};
@@ -30,12 +30,12 @@ pub fn run(args: &Args) -> Result<Ending> {
         let expected = "a folder of golden files, such as tests/golden in a checkout of the source";
         return Err(Error::invalid("verify", "folder", expected, format!("no {GOLDEN} here")).into());
     }
-    let (device, line) = args.device.open()?;
-    status!("{line}");
+    let choice = args.device.choice();
+    let opened = choice.open()?;
+    status!("device: {opened}");
+    let device = opened.device;
     let mut stages: Vec<Box<dyn Stages>> = Vec::new();
-    if matches!(device, Device::Cpu)
-        || args.device.on.device == DeviceKind::Auto && args.device.on.adapter.is_none()
-    {
+    if matches!(device, Device::Cpu) || choice.is_open() {
         stages.push(Box::new(CpuStages::<f64>::new()));
         stages.push(Box::new(CpuStages::<f32>::new()));
     }

@@ -1,10 +1,11 @@
 //! `fnopt view`: a window in which a scene runs or a trajectory is played back.
 
-use super::device::{self, DeviceArgs, DeviceKind};
+use super::device::gpu;
 use super::output::{output, status};
 use super::{Ending, SolverArgs, interrupt_flag, load_scene, picture_file};
 use anyhow::Result;
 use clap::ValueEnum;
+use fnopt::device::prepared;
 use fnopt::gpu::{AdapterChoice, Context};
 use fnopt::io::{ReadOptions, Trajectory};
 use fnopt::render::write_png;
@@ -124,7 +125,7 @@ impl Args {
         let adapter = self.adapter.as_deref().map_or_else(AdapterChoice::default, AdapterChoice::parse);
         let closing = interrupt_flag();
         let open = |context: Context| {
-            let context = device::prepared(context)?;
+            let context = prepared(context)?;
             status!("device: {}", context.name());
             let content = self.content(&context, source)?;
             Ok((context, content))
@@ -139,9 +140,9 @@ impl Args {
 
     fn write_screenshot(&self, path: &Path, size: [u32; 2], source: Source) -> Result<Ending> {
         picture_file(path, "--screenshot")?;
-        let on = DeviceArgs { device: DeviceKind::Gpu, adapter: self.adapter.clone() };
-        let (Device::Gpu(context), line) = on.open()? else { unreachable!("a GPU was asked for") };
-        status!("{line}");
+        let opened = gpu(&self.adapter).open()?;
+        status!("device: {opened}");
+        let Device::Gpu(context) = opened.device else { unreachable!("a GPU was asked for") };
         let content = self.content(&context, source)?;
         let mut viewer = Viewer::new(&context, content, (FORMAT, size), &self.out)?;
         viewer.act(view::Action::Play(false))?;

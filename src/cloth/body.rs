@@ -253,6 +253,7 @@ impl Body {
 
 /// What the layers of a cloth did to each other in one frame, in grid units.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+#[non_exhaustive]
 pub struct LayerStats {
     /// Number of pairs of parts, a particle and a triangle or two edges, that were near enough to be watched.
     pub pairs: usize,
@@ -274,6 +275,7 @@ impl Default for LayerStats {
 
 /// What a body did to one cloth in one frame, in grid units.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+#[non_exhaustive]
 pub struct BodyStats {
     /// Number of particles on which it pressed.
     pub touching: usize,

@@ -3,6 +3,7 @@
 /// How the network's activations and weights are stored on a device. Sums, norms, spectra and everything
 /// outside the network are in single precision regardless.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub enum Storage {
     /// 32-bit floating point.
     #[default]

@@ -6,6 +6,7 @@ use std::{fmt, str::FromStr};
 
 /// A file format for a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[non_exhaustive]
 pub enum Format {
     /// NumPy archive: `vertices_seq` and `velocities_seq [F, V, 3]`, `faces [T, 3]`, `vertices_uv [V, 2]`, `fps`.
     Npz,

@@ -5,10 +5,11 @@ use super::errors::raised;
 use super::scene::scene_of;
 use super::simulation::rows;
 use crate::bindings::{Report, Settings, Status, change_scene};
+use crate::device::store_pipelines;
 use crate::eval::{FrameReport, Soundness};
 use crate::io::{Format, Frames, Trajectory, WriteOptions, create_folder, folder_of, write, write_mesh};
 use crate::scene::{EmbeddedMesh, Script};
-use crate::{Device, Error};
+use crate::{Device, Error, Simulator};
 use numpy::{PyArray2, PyArray3};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -186,8 +187,11 @@ pub(super) fn rollout(
     let made = py.detach(|| {
         let setup = scene.setup()?;
         let trajectory = setup.trajectory()?;
-        let (simulator, device) = settings.simulator(&setup.model, &optimizer)?;
-        Ok((setup, trajectory, simulator, device))
+        settings.check_grid(&optimizer, setup.model.grid)?;
+        let (choice, iterations) = (settings.device()?, settings.iterations(&optimizer)?);
+        let (simulator, opened) = Simulator::on(&choice, &setup.model, &optimizer, iterations)?;
+        store_pipelines();
+        Ok((setup, trajectory, simulator, opened.device))
     });
     let (setup, mut trajectory, mut simulator, device): (_, _, _, Device) = made.map_err(raised)?;
     let bar = match progress {

@@ -3,9 +3,10 @@
 use super::arrays::{Points, points_array, to_python};
 use super::errors::raised;
 use super::scene::scene_of;
-use crate::bindings::{Control, Session, Settings, Snapshot};
+use crate::bindings::Settings;
 use crate::eval::FrameReport;
 use crate::scene::Scene;
+use crate::{Prescribed, Simulation, Snapshot};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -41,7 +42,7 @@ pub(super) struct PySnapshot(Snapshot);
 /// Arrays are float32, [cloths, particles, 3], in metres and the axes of each scene; particle (i, j) has number i W + j.
 #[pyclass(name = "Simulation", module = "fnopt")]
 pub(super) struct PySimulation {
-    session: Session,
+    simulation: Simulation,
 }
 
 #[pymethods]
@@ -74,8 +75,8 @@ impl PySimulation {
             adapter,
             precision: precision.into(),
         };
-        let session = py.detach(|| Session::new(&scenes.iter().collect::<Vec<_>>(), cloths, &settings));
-        Ok(Self { session: session.map_err(raised)? })
+        let simulation = py.detach(|| settings.simulation(&scenes.iter().collect::<Vec<_>>(), cloths));
+        Ok(Self { simulation: simulation.map_err(raised)? })
     }
 
     /// Computes the next frame as the scene has it, events among it, but for what `control` prescribes. After the last frame
@@ -84,14 +85,14 @@ impl PySimulation {
     fn step(&mut self, py: Python<'_>, control: Option<&PyControl>) -> PyResult<()> {
         let given = match control {
             Some(control) => self.given(py, control)?,
-            None => Control::default(),
+            None => Prescribed::default(),
         };
-        py.detach(|| self.session.step(&given)).map_err(raised)
+        py.detach(|| self.simulation.step_with(&given).map(|_| ())).map_err(raised)
     }
 
     /// What the scene prescribes in the next step, as a start for a control of one's own.
     fn control(&mut self, py: Python<'_>) -> PyResult<PyControl> {
-        let control = self.session.next_control_si().map_err(raised)?;
+        let control = self.simulation.prescribed().map_err(raised)?;
         let array = |points: Option<Vec<[f64; 3]>>| {
             points.map(|points| Ok::<_, PyErr>(points_array(py, points)?.into_any().unbind())).transpose()
         };
@@ -101,43 +102,43 @@ impl PySimulation {
     /// Positions [m]. Each access makes a new array, which stays as it is.
     #[getter]
     fn positions<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f32>>> {
-        self.array(py, |out| self.session.positions(out))
+        self.array(py, |out| self.simulation.write_positions(out))
     }
 
     /// Velocities [m/s]. Each access makes a new array, which stays as it is.
     #[getter]
     fn velocities<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f32>>> {
-        self.array(py, |out| self.session.velocities(out))
+        self.array(py, |out| self.simulation.write_velocities(out))
     }
 
     /// Triangles of a cloth, [triangles, 3].
     #[getter]
     fn faces<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<u32>>> {
-        rows(py, self.session.faces())
+        rows(py, self.simulation.faces())
     }
 
     /// Texture coordinates of a cloth, [particles, 2].
     #[getter]
     fn uv<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        rows(py, self.session.setups()[0].model.grid.texture_coordinates())
+        rows(py, self.simulation.setups()[0].model.grid.texture_coordinates())
     }
 
     /// Particles that are held now, an array for each cloth.
     #[getter]
     fn handles<'py>(&self, py: Python<'py>) -> Vec<Bound<'py, PyArray1<usize>>> {
-        self.session.cloths().iter().map(|cloth| cloth.handles.clone().into_pyarray(py)).collect()
+        self.simulation.cloths().iter().map(|cloth| cloth.handles.clone().into_pyarray(py)).collect()
     }
 
     /// Number of the last frame; the start is 0.
     #[getter]
     fn frame(&self) -> usize {
-        self.session.frame().index
+        self.simulation.frame().index
     }
 
     /// Number of frames of the scene, including the start.
     #[getter]
     fn frames(&self) -> usize {
-        self.session.frames()
+        self.simulation.frames()
     }
 
     /// Time since the start [s].
@@ -149,42 +150,42 @@ impl PySimulation {
     /// Duration of a frame [s].
     #[getter]
     fn frame_dt(&self) -> f64 {
-        self.session.setups()[0].units.frame_time_s
+        self.simulation.setups()[0].units.frame_time_s
     }
 
     /// Particles along the height and the width.
     #[getter]
     fn grid(&self) -> (usize, usize) {
-        let grid = self.session.setups()[0].model.grid;
+        let grid = self.simulation.setups()[0].model.grid;
         (grid.h, grid.w)
     }
 
     /// Number of cloths.
     #[getter]
     fn cloths(&self) -> usize {
-        self.session.setups().len()
+        self.simulation.setups().len()
     }
 
     /// Number of particles of a cloth.
     #[getter]
     fn particle_count(&self) -> usize {
-        self.session.particles()
+        self.simulation.particles()
     }
 
     /// The device that computes.
     #[getter]
     fn device(&self) -> String {
-        self.session.device().name()
+        self.simulation.device().name()
     }
 
     /// What each cloth was like in the last frame, with the fields of `per_frame` in a report; empty at the start.
     #[getter]
     fn stats<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyAny>>> {
-        let frame = self.session.frame();
+        let frame = self.simulation.frame();
         let of = |b| {
             to_python(
                 py,
-                &serde_json::to_value(FrameReport::new(frame, b, &self.session.setups()[b]))
+                &serde_json::to_value(FrameReport::new(frame, b, &self.simulation.setups()[b]))
                     .unwrap_or_default(),
             )
         };
@@ -201,7 +202,7 @@ impl PySimulation {
         velocities: Option<&Bound<'_, PyAny>>,
         cloth: Option<usize>,
     ) -> PyResult<()> {
-        let n = self.session.particles();
+        let n = self.simulation.particles();
         let cloths = cloth.map_or(0..self.cloths(), |b| b..b + 1);
         let shape = if cloth.is_some() { vec![n] } else { vec![self.cloths(), n] };
         let take = |array: &Bound<'_, PyAny>, name: &str| Points::take(array, name)?.broadcast(&shape, name);
@@ -210,11 +211,11 @@ impl PySimulation {
             Some(velocities) => take(velocities, "velocities")?,
             None => vec![[0.0; 3]; positions.len()],
         };
-        let (session, first) = (&mut self.session, cloths.start);
+        let (simulation, first) = (&mut self.simulation, cloths.start);
         py.detach(|| {
             cloths.into_iter().try_for_each(|b| {
                 let own = (b - first) * n..(b - first + 1) * n;
-                session.set_cloth_state(b, &positions[own.clone()], &velocities[own])
+                simulation.set_cloth_state(b, &positions[own.clone()], &velocities[own])
             })
         })
         .map_err(raised)
@@ -222,21 +223,21 @@ impl PySimulation {
 
     /// Goes back to the start of the scene.
     fn reset(&mut self, py: Python<'_>) -> PyResult<()> {
-        py.detach(|| self.session.reset()).map_err(raised)
+        py.detach(|| self.simulation.reset()).map_err(raised)
     }
 
     /// The simulation as it is now, for `restore`.
     fn snapshot(&mut self, py: Python<'_>) -> PyResult<PySnapshot> {
-        py.detach(|| self.session.snapshot()).map(PySnapshot).map_err(raised)
+        py.detach(|| self.simulation.snapshot()).map(PySnapshot).map_err(raised)
     }
 
     /// Goes on from a snapshot of this simulation, or of one of the same scenes and solver, to the same bits.
     fn restore(&mut self, py: Python<'_>, snapshot: &PySnapshot) -> PyResult<()> {
-        py.detach(|| self.session.restore(&snapshot.0)).map_err(raised)
+        py.detach(|| self.simulation.restore(&snapshot.0)).map_err(raised)
     }
 
     fn __repr__(&self) -> String {
-        let (cloths, grid) = (self.cloths(), self.session.setups()[0].model.grid);
+        let (cloths, grid) = (self.cloths(), self.simulation.setups()[0].model.grid);
         let plural = if cloths == 1 { "" } else { "s" };
         format!("<fnopt.Simulation, {cloths} cloth{plural} of {grid}, frame {}>", self.frame())
     }
@@ -244,15 +245,15 @@ impl PySimulation {
 
 impl PySimulation {
     /// Takes a control.
-    fn given(&self, py: Python<'_>, control: &PyControl) -> PyResult<Control> {
-        let [cloths, n] = [self.cloths(), self.session.particles()];
+    fn given(&self, py: Python<'_>, control: &PyControl) -> PyResult<Prescribed> {
+        let [cloths, n] = [self.cloths(), self.simulation.particles()];
         let take = |array: &Option<Py<PyAny>>, name: &str, shape: &[usize]| {
             let take = |array: &Py<PyAny>| Points::take(array.bind(py), name)?.broadcast(shape, name);
             array.as_ref().map(take).transpose()
         };
-        // The session knows how many there are by then.
+        // The simulation knows how many there are by then.
         let handles = |array: &Py<PyAny>| Points::take_or_none(array.bind(py), "handles").map(|h| h.points);
-        Ok(Control {
+        Ok(Prescribed {
             handles: control.handles.as_ref().map(handles).transpose()?,
             wind: take(&control.wind, "wind", &[cloths])?,
             accelerations: take(&control.accelerations, "accelerations", &[cloths, n])?,
@@ -265,7 +266,7 @@ impl PySimulation {
         py: Python<'py>,
         fill: impl FnOnce(&mut [f32]) + Send,
     ) -> PyResult<Bound<'py, PyArray3<f32>>> {
-        let shape = (self.cloths(), self.session.particles(), 3);
+        let shape = (self.cloths(), self.simulation.particles(), 3);
         let mut values = vec![0.0; shape.0 * shape.1 * shape.2];
         py.detach(|| fill(&mut values));
         let array = ndarray::Array3::from_shape_vec(shape, values);

@@ -39,6 +39,7 @@ pub struct BodySettings {
 
 /// The shape of a body around its own origin, in the scene's axes.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum BodyShape {
     /// Everything below a plane across the body's up axis.
     Plane,
@@ -102,6 +103,7 @@ impl Default for BodyPose {
 
 /// How a body moves.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum BodyMotion {
     /// Not at all.
     Still,

@@ -12,6 +12,7 @@ use std::path::{Path, PathBuf};
 /// A part of a sheet. Places on it are (u, v), each 0 to 1: those of its texture, with u to the right and v up on a sheet
 /// that hangs from its edge j = 0, seen from the side of its normals ([`Grid::texture_coordinates`]).
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Region {
     /// `disc`: the largest disc in the middle of the sheet.
     Disc,

@@ -117,6 +117,7 @@ fn rotate(centre: [f64; 3], arc: f64, points: &[[f64; 3]]) -> Vec<[f64; 3]> {
 
 /// The motion of the handles of a scene.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Motion {
     /// The handles keep their positions in the start state.
     Still,

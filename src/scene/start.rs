@@ -29,6 +29,7 @@ pub struct StartFile {
 
 /// The start state of a scene. Velocities are zero except from a `.npz`.
 #[derive(Clone, Debug, Default, PartialEq)]
+#[non_exhaustive]
 pub enum Start {
     /// `settled`: the drape that hangs still from its corners (H-1, 0) and (0, 0), which are 0.9 of the side apart: in
     /// the equilibrium of the scene's cloth under its gravity.

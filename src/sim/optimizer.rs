@@ -21,6 +21,7 @@ pub struct Optimizer {
 
 /// A direction in which an iteration may go.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub enum Direction {
     /// Against the gradient.
     Gradient,
@@ -51,6 +52,7 @@ pub enum Direction {
 
 /// The inverse Hessian that L-BFGS starts from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Initial {
     /// A multiple of the identity.
     Identity,
@@ -63,6 +65,7 @@ pub enum Initial {
 
 /// How far an iteration goes.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Length {
     /// This multiple of its one direction: of the gradient any, of the network's, Adam's and L-BFGS's, whose lengths
     /// are their own, 1. Nothing checks the energy.

@@ -5,6 +5,7 @@ use crate::cloth::{BodyStats, EnergyTerms, LayerStats};
 /// Statistics of one cloth in one frame, in grid units. Stretch is over all edges, including those at handles,
 /// which rightly stretch more ([`FreeEdges`](crate::eval::FreeEdges) leaves them out).
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
+#[non_exhaustive]
 pub struct FrameStats {
     /// Energy terms at the accepted acceleration.
     pub energy: EnergyTerms,
@@ -32,6 +33,7 @@ pub struct FrameStats {
 /// What became of the steps of one cloth in one frame, where they are checked
 /// ([`Length::Subspace`](super::Length::Subspace)); zeros elsewhere.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[non_exhaustive]
 pub struct StepCounts {
     /// Steps that raised the energy, and were shortened or taken back.
     pub shortened: usize,
@@ -49,6 +51,7 @@ impl FrameStats {
 
 /// A log of the optimizer's iterations in one frame.
 #[derive(Clone, Debug, Default, PartialEq)]
+#[non_exhaustive]
 pub struct IterationLog {
     /// `|dL/da|` of each sample, shape [N, S] with S = 3 B. Newton's method has two rows: at the start and at
     /// the minimum.

@@ -9,5 +9,6 @@ mod meshes;
 mod named;
 mod refusals;
 mod setups;
+mod simulation;
 mod uneven;
 mod units;

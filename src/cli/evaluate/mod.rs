@@ -303,8 +303,9 @@ impl Args {
 
     /// Opens the device and reports which. Solvers that exist only for the CPU run there.
     fn open(&self, entries: &[Entry]) -> Result<Device> {
-        let (device, line) = self.device.open()?;
-        status!("{line}");
+        let opened = self.device.choice().open()?;
+        status!("device: {opened}");
+        let device = opened.device;
         let mut names: Vec<&str> = Vec::new();
         if matches!(device, Device::Gpu(_)) {
             let elsewhere = entries.iter().filter(|entry| matches!(entry.device(&device), Device::Cpu));

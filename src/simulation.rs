@@ -1,14 +1,31 @@
-//! A simulation that owns its scenes and goes through them frame by frame.
+//! A simulation that owns its scenes and goes through them frame by frame, in SI units.
 
-use super::Settings;
 use crate::cloth::{Cloth, State};
+use crate::device::{Device, DeviceChoice, store_pipelines};
 use crate::scene::{Course, Scene, Script, Scripts, Setup};
-use crate::sim::Memory;
-use crate::{Device, Error, Frame, Result, Simulator, cloth};
+use crate::sim::{Memory, Optimizer};
+use crate::{Error, Frame, Result, Simulator, cloth};
 use rayon::prelude::*;
 
-/// A batch of cloths that advances through its scenes.
-pub(crate) struct Session {
+/// A batch of cloths that advances through its scenes, in metres, seconds and the axes of each scene.
+///
+/// ```
+/// use fnopt::{Optimizer, Scene, Simulation};
+///
+/// let mut scene = Scene::named("sphere")?; // a sheet that falls on a ball
+/// scene.regrid(fnopt::cloth::Grid { h: 16, w: 16 })?;
+/// let mut simulation = Simulation::new(&scene, &Optimizer::spectral())?;
+/// while simulation.frame().index < 30 {
+///     simulation.step()?;
+/// }
+/// let lowest = simulation.positions().iter().map(|p| p[1]).fold(f32::INFINITY, f32::min);
+/// println!("frame 30 on {}: lowest point {lowest:.3} m", simulation.device().name());
+/// # assert!((-0.6..-0.1).contains(&lowest), "{lowest}");
+/// # Ok::<(), fnopt::Error>(())
+/// ```
+///
+/// A host that draws on a device of its own takes [`sim::Solver`](crate::sim::Solver) instead, which records into the host's encoder.
+pub struct Simulation {
     simulator: Simulator,
     device: Device,
     setups: Vec<Setup>,
@@ -19,9 +36,26 @@ pub(crate) struct Session {
     anchors: Vec<Vec<f64>>,
 }
 
+/// How a [`Simulation`] is computed.
+#[derive(Clone, Debug)]
+pub struct SimulationOptions {
+    /// Iterations per frame; `None` for what suits the optimizer ([`Optimizer::default_iterations`]).
+    pub iterations: Option<usize>,
+    /// The device.
+    pub device: DeviceChoice,
+    /// Cloths of each scene, which begin alike.
+    pub copies: usize,
+}
+
+impl Default for SimulationOptions {
+    fn default() -> Self {
+        Self { iterations: None, device: DeviceChoice::default(), copies: 1 }
+    }
+}
+
 /// What a host prescribes for a frame, in SI units and each scene's axes; `None` for what the scene does.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Control {
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Prescribed {
     /// Targets of the handles \[m\]: all of cloth 0, then of cloth 1, and so on.
     pub handles: Option<Vec<[f64; 3]>>,
     /// Wind velocity of each cloth [m/s].
@@ -32,17 +66,26 @@ pub(crate) struct Control {
 
 /// A simulation at one of its frames, from which it goes on to the same bits.
 #[derive(Clone, Debug)]
-pub(crate) struct Snapshot {
+pub struct Snapshot {
     frame: Frame,
     memory: Memory,
     entered: usize,
     anchors: Vec<Vec<f64>>,
 }
 
-impl Session {
-    /// Sets up the scenes, whose cloths advance together, `copies` of each.
-    pub fn new(scenes: &[&Scene], copies: usize, settings: &Settings) -> Result<Self> {
-        let optimizer = settings.optimizer()?;
+impl Simulation {
+    /// Sets up a scene with one cloth, on a hardware adapter if there is one, else on the CPU.
+    ///
+    /// Fails as [`Scene::setup`] and [`Simulator::on`] do.
+    pub fn new(scene: &Scene, optimizer: &Optimizer) -> Result<Self> {
+        Self::of(&[scene], optimizer, &SimulationOptions::default())
+    }
+
+    /// Sets up scenes whose cloths advance together, on grids and with frame times that are the same. Cloth `k` is of scene `k / copies`.
+    ///
+    /// Fails as [`Scene::setup`], [`Setup::batch`] and [`Simulator::on`] do.
+    pub fn of(scenes: &[&Scene], optimizer: &Optimizer, options: &SimulationOptions) -> Result<Self> {
+        let copies = options.copies;
         if copies == 0 {
             return Err(Error::invalid("simulation", "cloths", "at least one", 0));
         }
@@ -56,12 +99,14 @@ impl Session {
             setups.into_iter().flat_map(|setup| std::iter::repeat_n(setup, copies)).collect();
         let (scripts, batch) = Scripts::new(&setups)?;
         let anchors = anchors(&scripts);
-        let (simulator, device) = settings.simulator(&batch.model, &optimizer)?;
+        let iterations = options.iterations.unwrap_or(optimizer.default_iterations());
+        let (simulator, opened) = Simulator::on(&options.device, &batch.model, optimizer, iterations)?;
+        store_pipelines();
         let frame =
             Frame { index: 0, state: batch.start.cast(), stats: Vec::new(), wall: Default::default() };
-        let mut session = Self { simulator, device, setups, frame, entered: 0, anchors };
-        session.simulator.set_state(&session.frame.state);
-        Ok(session)
+        let mut new = Self { simulator, device: opened.device, setups, frame, entered: 0, anchors };
+        new.simulator.set_state(&new.frame.state);
+        Ok(new)
     }
 
     /// Returns the device.
@@ -69,7 +114,7 @@ impl Session {
         &self.device
     }
 
-    /// Returns the setups of the cloths.
+    /// Returns the setup of each cloth.
     pub fn setups(&self) -> &[Setup] {
         &self.setups
     }
@@ -101,7 +146,7 @@ impl Session {
     }
 
     /// Lets the events before the next frame come, and returns what the scenes do in it.
-    pub fn next_control(&mut self) -> Result<cloth::Control<f32>> {
+    fn next_control(&mut self) -> Result<cloth::Control<f32>> {
         let next = self.frame.index + 1;
         let mut scripts = Scripts::resume(&self.setups, self.entered, &self.anchors)?;
         if scripts.next_change().is_some_and(|change| change <= next)
@@ -113,8 +158,8 @@ impl Session {
         Ok(scripts.control(next))
     }
 
-    /// Returns what the scenes do in the next frame, in SI units.
-    pub fn next_control_si(&mut self) -> Result<Control> {
+    /// Returns what the scenes do in the next frame, to be changed for [`Simulation::step_with`]. The events before it have come.
+    pub fn prescribed(&mut self) -> Result<Prescribed> {
         let control = self.next_control()?;
         let model = self.simulator.model();
         let wide = |v: [f32; 3]| v.map(f64::from);
@@ -125,12 +170,19 @@ impl Session {
         }
         let wind = self.setups.iter().zip(&control.wind);
         let wind = wind.map(|(setup, &v)| setup.up.from_z_up(setup.units.velocity_m_s(wide(v)))).collect();
-        Ok(Control { handles: Some(handles), wind: Some(wind), accelerations: None })
+        Ok(Prescribed { handles: Some(handles), wind: Some(wind), accelerations: None })
     }
 
-    /// Computes the next frame as the scenes have it, but for what `given` prescribes. Fails as [`Simulator::step`] does, or
-    /// if a length does not match or a number is not finite.
-    pub fn step(&mut self, given: &Control) -> Result<()> {
+    /// Computes the next frame as the scenes have it, events among it. After the last frame of a scene, handles and bodies stay where they
+    /// are. Fails as [`Simulator::step`] does; a frame that is not finite can be looked at, and cloths be started again
+    /// ([`Simulation::set_cloth_state`]).
+    pub fn step(&mut self) -> Result<&Frame> {
+        self.step_with(&Prescribed::default())
+    }
+
+    /// Computes the next frame as [`Simulation::step`] does, but for what `given` prescribes. Fails, too, if a length does not match or a
+    /// number is not finite.
+    pub fn step_with(&mut self, given: &Prescribed) -> Result<&Frame> {
         let mut control = self.next_control()?;
         let (setups, n) = (&self.setups, self.particles());
         let check = |field: &str, given: &[[f64; 3]], expected: usize| {
@@ -171,10 +223,9 @@ impl Session {
         match self.simulator.step(&control) {
             Ok(frame) => {
                 self.frame = frame;
-                Ok(())
+                Ok(&self.frame)
             }
             Err(error @ Error::NonFinite { .. }) => {
-                // It can be looked at, and cloths can be started again.
                 self.frame.state = self.simulator.state()?;
                 self.frame.index = self.simulator.frame();
                 Err(error)
@@ -183,13 +234,27 @@ impl Session {
         }
     }
 
+    /// Returns the positions \[m\] of all cloths, shape [B, H W], in each scene's axes.
+    pub fn positions(&self) -> Vec<[f32; 3]> {
+        let mut positions = vec![[0.0; 3]; self.setups.len() * self.particles()];
+        self.write_positions(positions.as_flattened_mut());
+        positions
+    }
+
+    /// Returns the velocities [m/s] likewise.
+    pub fn velocities(&self) -> Vec<[f32; 3]> {
+        let mut velocities = vec![[0.0; 3]; self.setups.len() * self.particles()];
+        self.write_velocities(velocities.as_flattened_mut());
+        velocities
+    }
+
     /// Writes the positions \[m\] of all cloths, shape [B, H W, 3], in each scene's axes. Panics if `out` is not as long.
-    pub fn positions(&self, out: &mut [f32]) {
+    pub fn write_positions(&self, out: &mut [f32]) {
         self.convert(&self.frame.state.x, out, |setup, x| setup.vertices_m(x));
     }
 
     /// Writes the velocities [m/s] likewise.
-    pub fn velocities(&self, out: &mut [f32]) {
+    pub fn write_velocities(&self, out: &mut [f32]) {
         self.convert(&self.frame.state.v, out, |setup, v| setup.velocities_m_s(v));
     }
 
