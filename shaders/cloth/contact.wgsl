@@ -51,12 +51,10 @@ fn contact(
             }
         }
         // Only free particles have contacts.
-        let mark = marks[b * n + p];
-        let per_weight = f32(params.rows) * f32(params.columns) / mass_of(mark);
-        let push = select(vec3f(), gradient * per_weight, is_free(mark));
+        let added = accelerated(-gradient, marks[b * n + p], n);
         let at = b * 3u * n + p;
         for (var c = 0u; c < 3u; c++) {
-            given[params.first_total + at + c * n] = given[params.first_source + at + c * n] - push[c];
+            given[params.first_total + at + c * n] = given[params.first_source + at + c * n] + added[c];
         }
     }
     put_energy(b, part, lane, energy);

@@ -66,9 +66,7 @@ fn couple(
             let last = hinge(b, own - along, axis);
             force += push(last, last.after);
         }
-        let mark = marks[b * n + p];
-        let per_weight = f32(params.rows) * f32(params.columns) / mass_of(mark);
-        let added = select(vec3f(), force * per_weight, is_free(mark));
+        let added = accelerated(force, marks[b * n + p], n);
         let at = b * 3u * n + p;
         for (var c = 0u; c < 3u; c++) {
             base[params.first_total + at + c * n] = base[params.first_source + at + c * n] + added[c];

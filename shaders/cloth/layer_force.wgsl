@@ -55,11 +55,10 @@ fn layer_force(
             gradient += pairs[pair].weights[corner % 4u] * press.xyz;
             energy += select(0.0, press.w, corner % 4u == 0u);
         }
-        let mark = marks[b * n + p];
-        let push = select(vec3f(), gradient * (f32(n) / mass_of(mark)), is_free(mark));
+        let added = accelerated(-gradient, marks[b * n + p], n);
         let at = b * 3u * n + p;
         for (var c = 0u; c < 3u; c++) {
-            given[params.first_total + at + c * n] = given[params.first_source + at + c * n] - push[c];
+            given[params.first_total + at + c * n] = given[params.first_source + at + c * n] + added[c];
         }
     }
     put_energy(b, part, lane, energy);

@@ -61,7 +61,7 @@ pub(crate) mod pieces {
     pub const PAIR: &str = include_str!("../../shaders/pieces/pair.wgsl");
     pub const PAIRS_OF: &str = include_str!("../../shaders/pieces/pairs_of.wgsl");
     pub const PATCH: &str = include_str!("../../shaders/pieces/patch.wgsl");
-    pub const POSITION_ENERGY: &str = include_str!("../../shaders/pieces/position_energy.wgsl");
+    pub const POSITION_FORCE: &str = include_str!("../../shaders/pieces/position_force.wgsl");
     pub const PRODUCTS: &str = include_str!("../../shaders/pieces/products.wgsl");
     pub const PRODUCTS_PART: &str = include_str!("../../shaders/pieces/products_part.wgsl");
     pub const REACTING: &str = include_str!("../../shaders/pieces/reacting.wgsl");

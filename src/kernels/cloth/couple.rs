@@ -1,8 +1,9 @@
 //! Host side of `shaders/cloth/couple.wgsl`.
 
-use super::{Trial, energy};
+use super::Trial;
+use super::force::{Force, Sums};
 use crate::Result;
-use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::gpu::{Context, Schedule, Source, Tensor};
 use crate::kernels::{common, pieces, size, terms};
 
 pub(crate) const SOURCE: Source = Source {
@@ -15,7 +16,7 @@ pub(crate) const SOURCE: Source = Source {
         pieces::TRIAL,
         pieces::HINGE,
         pieces::HINGE_ENERGY,
-        pieces::POSITION_ENERGY,
+        pieces::POSITION_FORCE,
     ],
 };
 
@@ -24,23 +25,17 @@ pub(crate) const SOURCE: Source = Source {
 struct Params {
     rows: u32,
     columns: u32,
-    groups: u32,
-    first_source: u32,
-    first_total: u32,
+    sums: Sums,
 }
 
 /// Computes the accelerations by couples, and their energy.
 #[derive(Clone, Debug)]
-pub struct Couple {
-    alone: Kernel,
-    after_others: Kernel,
-}
+pub struct Couple(Force);
 
 impl Couple {
     /// Builds the kernels.
     pub fn new(context: &Context) -> Result<Self> {
-        let kernel = |sets: f64| Kernel::new(context, &SOURCE, 0, &[("SETS", sets)]);
-        Ok(Self { alone: kernel(1.0)?, after_others: kernel(0.0)? })
+        Force::new(context, &SOURCE, &[]).map(Self)
     }
 
     /// Sets `iterate.total` at `iterate.a` to the external accelerations and those by the couples of the
@@ -53,21 +48,11 @@ impl Couple {
         after_others: bool,
         [rest_angles, parts]: [&Tensor; 2],
     ) {
-        let (grid, batch) = (trial.grid, trial.batch());
-        let shape @ [_, groups, _] = energy::parts_shape(batch, grid);
-        assert_eq!(parts.shape(), shape);
+        let (grid, batch, iterate) = (trial.grid, trial.batch(), trial.iterate);
         assert_eq!(rest_angles.shape(), [batch, grid.particles(), 2]);
-        let (given, external, total) = &trial.iterate.given();
-        let total = total.expect("the iterate has a total");
-        let params = Params {
-            rows: size(grid.h),
-            columns: size(grid.w),
-            groups: size(groups),
-            first_source: size(if after_others { total } else { *external }),
-            first_total: size(total),
-        };
-        let kernel = if after_others { &self.after_others } else { &self.alone };
-        let iterate = trial.iterate;
+        let (kernel, sums) = self.0.of(trial, after_others, parts);
+        let params = Params { rows: size(grid.h), columns: size(grid.w), sums };
+        let (given, ..) = &iterate.given();
         let tensors = [trial.cloths, &iterate.marks, rest_angles, trial.x, &iterate.a, given, parts];
         schedule.dispatch(kernel, &params, &tensors, kernel.spread(grid.particles(), batch));
     }

@@ -21,6 +21,7 @@ pub mod embed;
 pub mod energy;
 pub mod energy_sum;
 pub mod external_force;
+mod force;
 pub mod gradient;
 pub mod integrate;
 pub mod layer_axes;

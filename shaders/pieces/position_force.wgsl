@@ -21,3 +21,8 @@ fn put_energy(b: u32, part: u32, lane: u32, energy: f32) {
         }
     }
 }
+
+// Returns what a force adds to the acceleration of a particle of a cloth of n: nothing unless it is free.
+fn accelerated(force: vec3f, mark: vec2u, n: u32) -> vec3f {
+    return select(vec3f(), force * (f32(n) / mass_of(mark)), is_free(mark));
+}
