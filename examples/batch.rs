@@ -1,44 +1,35 @@
 //! Four cloths advance together. They differ only in their resistance to stretch.
 
 use fnopt::cloth::Material;
-use fnopt::network::Weights;
-use fnopt::scene::{Scene, Setup, Stiffness};
-use fnopt::sim::Optimizer;
-use fnopt::{Device, Simulator};
+use fnopt::scene::Stiffness;
+use fnopt::{Optimizer, Scene, Simulation, SimulationOptions, Weights};
 
 const FRAMES: usize = 40;
 
 fn main() -> fnopt::Result<()> {
     let stretch = [2000.0, 1000.0, 500.0, 250.0];
-    let setups: Vec<Setup> = stretch
-        .iter()
-        .map(|&stretch| {
-            let stiffness = Stiffness::Grid(Material { stretch, ..Default::default() });
-            Scene { stiffness, ..Default::default() }.setup()
-        })
-        .collect::<fnopt::Result<_>>()?;
-    let batch = Setup::batch(&setups)?;
-
+    let scenes = stretch.map(|stretch| {
+        let stiffness = Stiffness::Grid(Material { stretch, ..Default::default() });
+        Scene { stiffness, ..Default::default() }
+    });
     let optimizer = Optimizer::learned(Weights::shipped());
-    let mut simulator = Simulator::new(&Device::Cpu, &batch.model, &optimizer, 10)?;
-    simulator.set_state(&batch.start.cast());
-    let mut frame = simulator.step(&batch.control(1))?;
-    for f in 2..=FRAMES {
-        frame = simulator.step(&batch.control(f))?;
+    let options = SimulationOptions { iterations: Some(10), ..Default::default() };
+    let mut simulation = Simulation::of(&scenes.each_ref(), &optimizer, &options)?;
+    for _ in 0..FRAMES {
+        simulation.step()?;
     }
 
-    // The state of cloth b is the b-th part of the batch's arrays. Its own setup converts it to metres.
-    let cloths = frame.state.x.chunks_exact(3 * batch.model.grid.particles());
+    // Cloth b is the b-th part of the positions.
+    let (positions, stats) = (simulation.positions(), &simulation.frame().stats);
+    let cloths = positions.chunks_exact(simulation.particles());
     let mut lowest = Vec::new();
-    for ((setup, x), (stretch, stats)) in setups.iter().zip(cloths).zip(stretch.iter().zip(&frame.stats)) {
-        let bottom = setup.vertices_m(x).iter().map(|p| p[1]).fold(f64::INFINITY, f64::min);
-        println!(
-            "stretch {stretch:4}: lowest point {bottom:.4} m, mean stretch {:.2} %",
-            100.0 * stats.stretch_mean
-        );
+    for ((cloth, stats), stretch) in cloths.zip(stats).zip(stretch) {
+        let bottom = cloth.iter().map(|p| p[1]).fold(f32::INFINITY, f32::min);
+        let mean = 100.0 * stats.stretch_mean;
+        println!("stretch {stretch:4}: lowest point {bottom:.4} m, mean stretch {mean:.2} %");
         lowest.push(bottom);
     }
-    assert!(frame.stats.iter().all(|s| s.is_finite()));
+    assert!(stats.iter().all(|s| s.is_finite()));
     assert!(lowest.is_sorted_by(|stiff, soft| stiff > soft), "softer cloths hang lower: {lowest:?}");
     Ok(())
 }

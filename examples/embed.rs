@@ -5,10 +5,7 @@
 mod host;
 
 use fnopt::gpu::Context;
-use fnopt::network::Weights;
-use fnopt::scene::Scene;
-use fnopt::sim::{Optimizer, Solver};
-use fnopt::wgpu;
+use fnopt::{Optimizer, Scene, Solver, Weights, wgpu};
 use host::Host;
 
 const FRAMES: usize = 30;

@@ -59,9 +59,9 @@ impl DeviceKind {
 /// Which device to open.
 ///
 /// ```
-/// use fnopt::{DeviceChoice, DeviceKind};
+/// use fnopt::DeviceChoice;
 ///
-/// let opened = DeviceChoice { kind: DeviceKind::Cpu, ..Default::default() }.open()?;
+/// let opened = DeviceChoice::cpu().open()?;
 /// assert!(opened.to_string().ends_with("(asked for)"));
 /// # Ok::<(), fnopt::Error>(())
 /// ```
@@ -94,6 +94,11 @@ impl fmt::Display for Opened {
 }
 
 impl DeviceChoice {
+    /// The CPU path.
+    pub fn cpu() -> Self {
+        Self { kind: DeviceKind::Cpu, ..Self::default() }
+    }
+
     /// Opens the device, with the pipelines and the tuning that are stored for it. Devices stay open, so that the simulations of a
     /// process share one and its compiled kernels.
     ///

@@ -62,6 +62,9 @@ pub enum Error {
 /// Fewer known names than this are all listed.
 const FEW: usize = 10;
 
+/// More of them are listed where none is near and the list is not longer than this, in bytes.
+const LONGEST_LIST: usize = 300;
+
 /// `Result` with the library's [`Error`].
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
@@ -97,7 +100,7 @@ impl Error {
     }
 
     /// Returns an [`Error::Unknown`] that suggests the nearest of `known`, by edit distance: up to three of them, or all
-    /// if there are fewer than ten.
+    /// if there are fewer than ten, or if none is near and the list is short.
     pub fn unknown<'a>(
         origin: impl Into<String>,
         kind: &'static str,
@@ -111,10 +114,16 @@ impl Error {
         let names = |ranked: &[(usize, &str)]| ranked.iter().map(|r| r.1).collect::<Vec<_>>().join(", ");
         let near = ranked.first().map_or(0, |r| r.0).max(2) + 1;
         let nearest = ranked.iter().take(3).take_while(|r| r.0 <= near).count();
+        let is_near = ranked.first().is_some_and(|r| r.0 <= (2 * name.chars().count() / 3).max(2));
         let hint = match (nearest, ranked.len()) {
             (_, 0) => String::new(),
             (0, 1..FEW) => format!(" (known: {})", names(&ranked)),
-            (0, _) => String::new(),
+            (_, FEW..) if !is_near => {
+                let mut all: Vec<&str> = ranked.iter().map(|r| r.1).collect();
+                all.sort_unstable();
+                let list = all.join(", ");
+                if list.len() > LONGEST_LIST { String::new() } else { format!(" (known: {list})") }
+            }
             (_, 1..FEW) if ranked.len() > nearest => {
                 format!(
                     " (did you mean {}? others: {})",
@@ -167,5 +176,15 @@ mod tests {
         assert_eq!(message, "a?.obj: cannot read: gone");
         let message = Error::unknown("scene.json", "field", "grd", ["up", "grid"]).to_string();
         assert_eq!(message, "scene.json: unknown field 'grd' (did you mean grid, up?)");
+        // Of many, the nearest by letters says nothing where none is near.
+        let fabrics = ["b", "c", "d", "denim", "e", "f", "g", "h", "i", "jacket", "t-shirt"];
+        let message = |name: &str| Error::unknown("--material", "material", name, fabrics).to_string();
+        assert!(message("demin").ends_with("'demin' (did you mean denim?)"), "{}", message("demin"));
+        assert!(
+            message("cotton").ends_with("'cotton' (known: b, c, d, denim, e, f, g, h, i, jacket, t-shirt)")
+        );
+        let many: Vec<String> = (0..100).map(|k| format!("name {k}")).collect();
+        let message = Error::unknown("a", "name", "x", many.iter().map(|name| &**name)).to_string();
+        assert_eq!(message, "a: unknown name 'x'");
     }
 }

@@ -131,7 +131,7 @@
 //! particle (i, j) has number `i W + j`. State arrays are channel-first, `[B, 3, H, W]`.
 
 // Some parts serve evaluation and training alone.
-#![cfg_attr(not(feature = "lab"), allow(dead_code, unused_imports))]
+#![cfg_attr(not(feature = "lab"), allow(dead_code, unused_imports, rustdoc::broken_intra_doc_links))]
 
 #[cfg(any(feature = "python", feature = "capi"))]
 mod bindings;
@@ -174,6 +174,12 @@ pub use simulation::{Prescribed, Simulation, SimulationOptions, Snapshot};
 pub use simulator::{Frame, Simulator};
 // Crates whose types are part of this interface.
 pub use {bytemuck, glam, ndarray, serde_json, wgpu};
+
+/// The code of the manual compiles.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+#[doc = include_str!("../docs/embedding.md")]
+struct Manual;
 
 #[cfg(test)]
 mod tests {

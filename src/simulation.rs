@@ -2,10 +2,12 @@
 
 use crate::cloth::{Cloth, State};
 use crate::device::{Device, DeviceChoice, store_pipelines};
+use crate::io::Recording;
 use crate::scene::{Course, Scene, Script, Scripts, Setup};
 use crate::sim::{Memory, Optimizer};
 use crate::{Error, Frame, Result, Simulator, cloth};
 use rayon::prelude::*;
+use std::path::Path;
 
 /// A batch of cloths that advances through its scenes, in metres, seconds and the axes of each scene.
 ///
@@ -58,13 +60,14 @@ impl Default for SimulationOptions {
 pub struct Prescribed {
     /// Targets of the handles \[m\]: all of cloth 0, then of cloth 1, and so on.
     pub handles: Option<Vec<[f64; 3]>>,
-    /// Wind velocity of each cloth [m/s].
+    /// Wind velocity of each cloth [m/s], gusts included. It moves cloths whose scene's `wind` has a density or a drag.
     pub wind: Option<Vec<[f64; 3]>>,
     /// Acceleration of each particle [m/s^2] in addition to gravity and air: all of cloth 0, then of cloth 1, and so on.
     pub accelerations: Option<Vec<[f64; 3]>>,
 }
 
-/// A simulation at one of its frames, from which it goes on to the same bits.
+/// A simulation at one of its frames, from which it goes on to the same bits: its state, what its optimizer remembers, and which events
+/// have come. It is kept in memory.
 #[derive(Clone, Debug)]
 pub struct Snapshot {
     frame: Frame,
@@ -185,9 +188,9 @@ impl Simulation {
     pub fn step_with(&mut self, given: &Prescribed) -> Result<&Frame> {
         let mut control = self.next_control()?;
         let (setups, n) = (&self.setups, self.particles());
-        let check = |field: &str, given: &[[f64; 3]], expected: usize| {
+        let check = |field: &str, given: &[[f64; 3]], expected: usize, of: &str| {
             if given.len() != expected {
-                return Err(Error::invalid("control", field, expected.to_string(), given.len()));
+                return Err(Error::invalid("control", field, format!("{expected}, {of}"), given.len()));
             }
             match given.iter().position(|v| !v.iter().all(|c| (*c as f32).is_finite())) {
                 Some(k) => {
@@ -198,7 +201,7 @@ impl Simulation {
             }
         };
         if let Some(handles) = &given.handles {
-            check("handles", handles, control.handles.len())?;
+            check("handles", handles, control.handles.len(), "one for each handle of all cloths together")?;
             for (b, setup) in setups.iter().enumerate() {
                 for k in self.simulator.model().handle_range(b) {
                     control.handles[k] = setup.handle_at(handles[k]);
@@ -206,11 +209,11 @@ impl Simulation {
             }
         }
         if let Some(wind) = &given.wind {
-            check("wind", wind, setups.len())?;
+            check("wind", wind, setups.len(), "one for each cloth")?;
             control.wind = setups.iter().zip(wind).map(|(setup, &v)| setup.wind_of(v)).collect();
         }
         if let Some(accelerations) = &given.accelerations {
-            check("accelerations", accelerations, setups.len() * n)?;
+            check("accelerations", accelerations, setups.len() * n, "one for each particle of all cloths")?;
             control.external = vec![0.0; 3 * accelerations.len()];
             let own = control.external.chunks_exact_mut(3 * n).zip(accelerations.chunks_exact(n));
             for (setup, (field, own)) in setups.iter().zip(own) {
@@ -234,7 +237,8 @@ impl Simulation {
         }
     }
 
-    /// Returns the positions \[m\] of all cloths, shape [B, H W], in each scene's axes.
+    /// Returns the positions \[m\] of the particles of all cloths, shape [B, H W], in each scene's axes: those of cloth `b` are the `b`-th
+    /// [`Simulation::particles`] of them.
     pub fn positions(&self) -> Vec<[f32; 3]> {
         let mut positions = vec![[0.0; 3]; self.setups.len() * self.particles()];
         self.write_positions(positions.as_flattened_mut());
@@ -275,6 +279,44 @@ impl Simulation {
             [setup] => one((setup, (field, out))),
             setups => setups.par_iter().zip(field.par_chunks(len).zip(out.par_chunks_mut(len))).for_each(one),
         }
+    }
+
+    /// Returns a recording of cloth `b` without frames, of the mesh that it carries along if it has one, at the rate of the frames. Its
+    /// temporary files are in `folder`. Fails if they cannot be created. Panics if there is no cloth `b`.
+    ///
+    /// ```
+    /// use fnopt::io::{Format, WriteOptions};
+    /// use fnopt::{Optimizer, Scene, Simulation};
+    ///
+    /// let mut simulation = Simulation::new(&Scene::default(), &Optimizer::spectral())?;
+    /// # let folder = tempfile::tempdir().unwrap();
+    /// # let folder = folder.path();
+    /// let mut recording = simulation.recording(0, folder)?;
+    /// simulation.record(0, &mut recording)?; // the start
+    /// for _ in 0..10 {
+    ///     simulation.step()?;
+    ///     simulation.record(0, &mut recording)?;
+    /// }
+    /// let options = WriteOptions::default();
+    /// recording.write(folder, "sheet", Format::Usda, &options)?;
+    /// recording.write(folder, "sheet", Format::Pc2, &options)?; // moves the vertices of a mesh:
+    /// fnopt::io::write_mesh(&recording, folder.join("sheet.obj"))?;
+    /// # assert!(["sheet.usda", "sheet.pc2", "sheet.obj"].iter().all(|name| folder.join(name).is_file()));
+    /// # Ok::<(), fnopt::Error>(())
+    /// ```
+    pub fn recording(&self, b: usize, folder: impl AsRef<Path>) -> Result<Recording> {
+        let setup = &self.setups[b];
+        Recording::new(folder, setup.topology(), 1.0 / setup.units.frame_time_s)
+    }
+
+    /// Appends cloth `b` as it is now to a recording ([`Simulation::recording`]). Fails if the disk is full. Panics if there is no cloth
+    /// `b`, or if the recording is of another mesh.
+    pub fn record(&self, b: usize, recording: &mut Recording) -> Result<()> {
+        let len = 3 * self.particles();
+        let of = |field: &[f32]| field[b * len..][..len].to_vec();
+        let own = State { x: of(&self.frame.state.x), v: of(&self.frame.state.v) };
+        let [positions, velocities] = self.setups[b].points(&own);
+        recording.push(&positions, &velocities)
     }
 
     /// Replaces the state of one cloth, given on its own grid in metres and metres per second; the optimizer forgets what it
@@ -318,8 +360,8 @@ impl Simulation {
         })
     }
 
-    /// Goes on from a snapshot of this simulation, or of one of the same scenes and solver. Fails, and changes nothing, if it
-    /// does not fit.
+    /// Goes on from a snapshot of this simulation, or of one of the same scenes and solver. Fails, and changes nothing, if it has other
+    /// sizes or is of another kind of solver; whether the scenes are the same is up to the caller.
     pub fn restore(&mut self, snapshot: &Snapshot) -> Result<()> {
         if snapshot.frame.state.x.len() != self.frame.state.x.len() {
             let of = |state: &State<f32>| format!("{} numbers", state.x.len());

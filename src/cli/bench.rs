@@ -1,6 +1,6 @@
 //! `fnopt bench`: times frames, kernels and command recording.
 
-use super::device::InferenceArgs;
+use super::device::{InferenceArgs, told};
 use super::output::{output, status};
 use super::{
     Ending, ListedSolver, MOST_ITERATIONS, default_scenes, go_on, grids, interrupt_flag, listed_solvers,
@@ -148,9 +148,7 @@ pub fn run(args: &Args) -> Result<Ending> {
         return Err(Error::invalid(path.display().to_string(), "rows", expected, "only others").into());
     }
     let on_gpu = solvers.iter().find(|of| of.optimizer.runs_on_gpu()).unwrap_or(&solvers[0]);
-    let opened = args.device.choice().open_for(&on_gpu.optimizer)?;
-    status!("device: {opened}");
-    let device = opened.device;
+    let device = told(args.device.choice().open_for(&on_gpu.optimizer))?;
     let interrupted = interrupt_flag();
     let (mut rows, mut failures, mut first_error) = (Vec::new(), Vec::new(), None);
     let (mut out, several) = (output(), solvers.len() > 1);

@@ -1,8 +1,10 @@
 //! `--device`, `--adapter` and `--precision`.
 
+use super::output::status;
 use clap::ValueEnum;
+use fnopt::device::Opened;
 use fnopt::gpu::Storage;
-use fnopt::{DeviceChoice, DeviceKind};
+use fnopt::{Device, DeviceChoice, DeviceKind, Error, Result};
 
 /// Where to run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
@@ -48,6 +50,23 @@ impl DeviceArgs {
 /// Returns the choice of a command that needs a GPU: this adapter, or the best.
 pub fn gpu(adapter: &Option<String>) -> DeviceChoice {
     DeviceChoice { kind: DeviceKind::Gpu, adapter: adapter.clone(), ..Default::default() }
+}
+
+/// Says which device was opened.
+pub fn told(opened: Result<Opened>) -> Result<Device> {
+    let opened = opened.map_err(of_options)?;
+    status!("device: {opened}");
+    Ok(opened.device)
+}
+
+/// Makes an error about a choice of device one about the options.
+pub fn of_options(error: Error) -> Error {
+    match error {
+        Error::Invalid { origin, field, expected, found } if origin == "device" => {
+            Error::Invalid { origin: format!("--{field}"), field, expected, found }
+        }
+        other => other,
+    }
 }
 
 /// How the network's activations and weights are stored.

@@ -25,10 +25,10 @@ fn is_name(text: &str) -> bool {
 
 /// Sets what `--material` says in a scene: the material, and the mass per area of a fabric, too.
 pub fn apply(text: &str, scene: &mut Scene) -> Result<()> {
-    read(text)?.apply(scene);
-    if let Some(fabric) = Fabric::known(text).filter(|_| is_name(text)) {
-        scene.mass = fabric.mass();
+    if is_name(text) && Fabric::known(text).is_some() {
+        return scene.set_fabric(text);
     }
+    read(text)?.apply(scene);
     Ok(())
 }
 

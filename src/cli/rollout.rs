@@ -1,6 +1,6 @@
 //! `fnopt rollout`: simulates a scene and writes the results.
 
-use super::device::InferenceArgs;
+use super::device::{InferenceArgs, of_options};
 use super::output::{output, progress, status};
 use super::rollout_against::Against;
 use super::rollout_end::{self, Kept, RolloutEnd};
@@ -139,7 +139,8 @@ fn simulate(args: &Args) -> Result<Ending> {
     let against = args.against.as_deref();
     let against = against.map(|text| Against::new(text, args.solver.checkpoint(), &setup)).transpose()?;
     let iterations = args.solver.iterations(&optimizer);
-    let (mut simulator, opened) = Simulator::on(&args.device.choice(), &setup.model, &optimizer, iterations)?;
+    let (mut simulator, opened) =
+        Simulator::on(&args.device.choice(), &setup.model, &optimizer, iterations).map_err(of_options)?;
     let interrupted = interrupt_flag();
     status!("device: {opened}");
     writable_folder(&args.out)?;

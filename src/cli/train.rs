@@ -1,6 +1,6 @@
 //! `fnopt train`: trains weights in a folder.
 
-use super::device::DeviceArgs;
+use super::device::{DeviceArgs, of_options};
 use super::output::{output, progress, status};
 use super::{Ending, interrupt_flag};
 use anyhow::Result;
@@ -143,7 +143,9 @@ impl Args {
 
     /// Opens the device of this rank.
     fn opened(&self, ranks: &dyn Ranks) -> fnopt::Result<Device> {
-        let opened = DeviceChoice { process: ranks.local_rank(), ..self.device.choice() }.open()?;
+        let opened = DeviceChoice { process: ranks.local_rank(), ..self.device.choice() }
+            .open()
+            .map_err(of_options)?;
         match ranks.count() {
             1 => status!("device: {opened}"),
             count => status!("rank {} of {count}: device: {opened}", ranks.rank()),

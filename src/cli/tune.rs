@@ -1,6 +1,6 @@
 //! `fnopt tune`: finds the fastest tile sizes for an adapter.
 
-use super::device::gpu;
+use super::device::{gpu, told};
 use super::output::{output, status};
 use super::{Ending, SolverArgs, default_scenes, go_on, interrupt_flag, one_grid, writable_file};
 use anyhow::Result;
@@ -42,9 +42,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     }
     let setups = default_scenes(one_grid(&args.grid)?, args.batch as usize)?;
     let start = setups.start.cast();
-    let opened = gpu(&args.adapter).open()?;
-    status!("device: {opened}");
-    let Device::Gpu(context) = opened.device else {
+    let Device::Gpu(context) = told(gpu(&args.adapter).open())? else {
         return Err(Error::Device("the CPU path has nothing to tune".into()).into());
     };
     if let Some(path) = Tuning::path(&context).filter(|_| !args.dry_run) {

@@ -1,8 +1,8 @@
 //! `fnopt verify`: checks every stage against golden files.
 
 use super::Ending;
-use super::device::InferenceArgs;
-use super::output::{output, status};
+use super::device::{InferenceArgs, told};
+use super::output::output;
 use anyhow::Result;
 use fnopt::verify::{Check, CpuStages, GpuStages, Stages, Verdict, verify_folder};
 use fnopt::{Device, Error};
@@ -31,9 +31,7 @@ pub fn run(args: &Args) -> Result<Ending> {
         return Err(Error::invalid("verify", "folder", expected, format!("no {GOLDEN} here")).into());
     }
     let choice = args.device.choice();
-    let opened = choice.open()?;
-    status!("device: {opened}");
-    let device = opened.device;
+    let device = told(choice.open())?;
     let mut stages: Vec<Box<dyn Stages>> = Vec::new();
     if matches!(device, Device::Cpu) || choice.is_open() {
         stages.push(Box::new(CpuStages::<f64>::new()));

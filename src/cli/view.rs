@@ -1,6 +1,6 @@
 //! `fnopt view`: a window in which a scene runs or a trajectory is played back.
 
-use super::device::gpu;
+use super::device::{gpu, told};
 use super::output::{output, status};
 use super::{Ending, SolverArgs, interrupt_flag, load_scene, picture_file};
 use anyhow::Result;
@@ -140,9 +140,8 @@ impl Args {
 
     fn write_screenshot(&self, path: &Path, size: [u32; 2], source: Source) -> Result<Ending> {
         picture_file(path, "--screenshot")?;
-        let opened = gpu(&self.adapter).open()?;
-        status!("device: {opened}");
-        let Device::Gpu(context) = opened.device else { unreachable!("a GPU was asked for") };
+        let device = told(gpu(&self.adapter).open())?;
+        let Device::Gpu(context) = device else { unreachable!("a GPU was asked for") };
         let content = self.content(&context, source)?;
         let mut viewer = Viewer::new(&context, content, (FORMAT, size), &self.out)?;
         viewer.act(view::Action::Play(false))?;

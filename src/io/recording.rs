@@ -51,10 +51,8 @@ impl Recording {
     /// the disk is full. Panics on other shapes.
     pub fn push(&mut self, positions: &[[f32; 3]], velocities: &[[f32; 3]]) -> Result<()> {
         let vertices = self.topology.vertices();
-        assert!(
-            positions.len() == vertices && velocities.len() == vertices,
-            "a frame has a position and a velocity for each vertex"
-        );
+        let given = [positions.len(), velocities.len()];
+        assert_eq!(given, [vertices; 2], "positions and velocities of a frame, for vertices of the topology");
         for (spool, points) in self.spools.iter_mut().zip([positions, velocities]) {
             spool.put(self.frames, points)?;
         }
@@ -95,7 +93,8 @@ impl Recording {
         self.beside.push((name.to_owned(), array));
     }
 
-    /// Writes the frames so far as [`write()`] does.
+    /// Writes the frames so far as [`write()`] does. A vertex cache ([`Format::is_vertex_cache`]) moves the vertices of a mesh beside it, which
+    /// [`write_mesh`](super::write_mesh) writes.
     pub fn write(
         &self,
         dir: impl AsRef<Path>,

@@ -1,14 +1,14 @@
 //! The fabrics that a scene may name as its material.
 
-use super::{Mass, Moduli, Stiffness};
+use super::{Mass, Moduli, Scene, Stiffness};
 use crate::cloth::Weave;
 use crate::{Error, Result};
 
-/// A fabric that was measured, to be had by its name: `"material": "denim"`.
+/// A fabric to be had by its name: `"material": "denim"`, or [`Scene::set_fabric`]. All were measured but rubber,
+/// which follows from its density and shear modulus.
 ///
-/// A cloth here is the same along both of its directions: the moduli are the means of those along warp and weft (wales and
-/// courses of a knit), and those at small strains and curvatures. Real fabrics stiffen when they are stretched, soften or stiffen
-/// when they are bent, and keep some of both; none of that is in them.
+/// The moduli are those along warp and weft (wales and courses of a knit) at small strains and curvatures. Real fabrics stiffen when
+/// they are stretched, soften or stiffen when they are bent, and keep some of both; none of that is in them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fabric {
     /// Its name.
@@ -53,6 +53,28 @@ const fn measured(
         },
     };
     Fabric { name, description, areal_mass_kg_m2, moduli, source: WANG }
+}
+
+const MATWEB: &str = "MatWeb, Natural Rubber, Vulcanized (NR, IR, Polyisoprene): density and shear modulus; as a sheet of half a \
+     millimetre that keeps its volume";
+
+/// A sheet of this thickness \[m\] of a material that is the same in all directions and keeps its volume when it is deformed, with a
+/// density [kg/m^3] and a shear modulus G \[Pa\]. Then Young's modulus is 3 G and Poisson's ratio 1/2, so the sheet has the moduli
+/// 3 G t and G t, and bends with `3 G t^3 / (12 (1 - 1/4)) = G t^3 / 3`.
+const fn homogeneous(
+    name: &'static str,
+    description: &'static str,
+    source: &'static str,
+    thickness_m: f64,
+    [density, shear]: [f64; 2],
+) -> Fabric {
+    let moduli = Moduli {
+        stretch_modulus: 3.0 * shear * thickness_m,
+        shear_modulus: shear * thickness_m,
+        bending_stiffness: shear * thickness_m * thickness_m * thickness_m / 3.0,
+        weave: Weave { stretch: [1.0, 1.0], bend: [1.0, 1.0] },
+    };
+    Fabric { name, description, areal_mass_kg_m2: density * thickness_m, moduli, source }
 }
 
 // Names of the files are in brackets.
@@ -137,6 +159,7 @@ const ALL: &[Fabric] = &[
         [151.503906, 244.830673, 30.250183],
         [117.070122e-6, 59.774277e-6],
     ),
+    homogeneous("rubber", "sheet of vulcanised natural rubber, 0.5 mm", MATWEB, 0.5e-3, [950.0, 0.5e6]),
 ];
 
 /// Returns the fabrics that a scene may name, each with a name of its own.
@@ -165,14 +188,32 @@ impl Fabric {
         ALL.iter().find(|fabric| fabric.name == name).copied()
     }
 
-    /// Returns its stiffness, for [`Scene::stiffness`](super::Scene::stiffness).
+    /// Returns its stiffness, for [`Scene::stiffness`].
     pub fn stiffness(&self) -> Stiffness {
         Stiffness::Moduli(self.moduli)
     }
 
-    /// Returns its mass, for [`Scene::mass`](super::Scene::mass).
+    /// Returns its mass, for [`Scene::mass`].
     pub fn mass(&self) -> Mass {
         Mass::Areal(self.areal_mass_kg_m2)
+    }
+}
+
+impl Scene {
+    /// Makes the cloth one of the fabric called `name` ([`fabrics`]): its stiffness, and its mass per area. Fails, and changes nothing, if
+    /// there is none.
+    ///
+    /// ```
+    /// use fnopt::Scene;
+    ///
+    /// let mut scene = Scene::named("sphere")?;
+    /// scene.set_fabric("denim")?;
+    /// # Ok::<(), fnopt::Error>(())
+    /// ```
+    pub fn set_fabric(&mut self, name: &str) -> Result<()> {
+        let fabric = Fabric::find(name, &self.origin)?;
+        (self.stiffness, self.mass) = (fabric.stiffness(), fabric.mass());
+        Ok(())
     }
 }
 

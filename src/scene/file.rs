@@ -173,11 +173,12 @@ impl Scene {
 }
 
 /// Fields that other simulators have, and what to do here.
-const ABSENT: [(&str, &str); 38] = [
+const ABSENT: [(&str, &str); 39] = [
     (
         "damping",
         "\"damping_s\" damps changes of the stretch, and the air slows the cloth (\"wind\": {\"density\", \"drag\"})",
     ),
+    ("fabric", "it is called \"material\": \"denim\""),
     ("stiffness", "it is called \"material\", or \"maps\": {\"stiffness\"} where it varies"),
     ("drag", "it is a field of \"wind\""),
     ("colliders", BODIES),

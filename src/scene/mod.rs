@@ -337,8 +337,8 @@ impl Stiffness {
         Stiffness::Grid(Material::default())
     }
 
-    /// Returns the material called `name`: `paper` ([`Stiffness::paper`]), `default`, or that of a fabric ([`fabrics`]).
-    /// `origin` is the file or option that the name comes from.
+    /// Returns the material called `name`: `paper` ([`Stiffness::paper`]), `default`, or that of a fabric ([`fabrics`]), whose mass
+    /// is another matter ([`Scene::set_fabric`]). `origin` is the file or option that the name comes from.
     pub fn named(name: &str, origin: &str) -> Result<Self> {
         match name {
             "paper" => Ok(Self::paper()),

@@ -16,8 +16,7 @@ fn scene() -> Scene {
 }
 
 fn on_the_cpu() -> SimulationOptions {
-    let device = DeviceChoice { kind: DeviceKind::Cpu, ..Default::default() };
-    SimulationOptions { iterations: Some(4), device, ..Default::default() }
+    SimulationOptions { iterations: Some(4), device: DeviceChoice::cpu(), ..Default::default() }
 }
 
 fn simulation(scenes: &[&Scene], copies: usize) -> Simulation {
@@ -108,7 +107,7 @@ fn what_is_prescribed_is_checked_and_done() {
 #[test]
 fn choices_that_contradict_themselves_are_refused() {
     let on = |choice: DeviceChoice| choice.open().map(|opened| opened.to_string());
-    let cpu = DeviceChoice { kind: DeviceKind::Cpu, ..Default::default() };
+    let cpu = DeviceChoice::cpu();
     let opened = on(cpu.clone()).unwrap();
     assert!(opened.starts_with("cpu, ") && opened.ends_with("(asked for)"), "{opened}");
     let error = on(DeviceChoice { adapter: Some("llvmpipe".into()), ..cpu.clone() }).unwrap_err().to_string();

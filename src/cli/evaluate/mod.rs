@@ -5,7 +5,7 @@ mod plots;
 mod report;
 mod suite;
 
-use super::device::InferenceArgs;
+use super::device::{InferenceArgs, told};
 use super::output::status;
 use super::{
     Ending, MOST_ITERATIONS, MOST_POINTS, SHIPPED_SEQUENCES, go_on, grids, interrupt_flag, listed_solvers,
@@ -303,9 +303,7 @@ impl Args {
 
     /// Opens the device and reports which. Solvers that exist only for the CPU run there.
     fn open(&self, entries: &[Entry]) -> Result<Device> {
-        let opened = self.device.choice().open()?;
-        status!("device: {opened}");
-        let device = opened.device;
+        let device = told(self.device.choice().open())?;
         let mut names: Vec<&str> = Vec::new();
         if matches!(device, Device::Gpu(_)) {
             let elsewhere = entries.iter().filter(|entry| matches!(entry.device(&device), Device::Cpu));
