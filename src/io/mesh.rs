@@ -1,11 +1,36 @@
 //! Triangle meshes.
 
 use super::gltf::{Triangles, is_gltf};
-use super::read_obj;
+use super::obj::Polygons;
 use crate::Result;
 use crate::cloth::Grid;
 use glam::Vec3;
-use std::path::Path;
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+/// A file of meshes, or one object in it. A path is the file with all of its objects.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct MeshFile {
+    /// An OBJ or glTF file (`.glb`, `.gltf`).
+    pub path: PathBuf,
+    /// The name of an object: in glTF a node, with those below it, or a mesh; in an OBJ an object (`o`) or a group (`g`). `None` for all.
+    pub object: Option<String>,
+}
+
+impl<P: AsRef<Path>> From<P> for MeshFile {
+    fn from(path: P) -> Self {
+        Self { path: path.as_ref().to_owned(), object: None }
+    }
+}
+
+impl fmt::Display for MeshFile {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.object {
+            Some(object) => write!(f, "{}: {object}", self.path.display()),
+            None => write!(f, "{}", self.path.display()),
+        }
+    }
+}
 
 /// A triangle mesh.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -16,15 +41,38 @@ pub struct Mesh {
     pub faces: Vec<[u32; 3]>,
 }
 
-/// Reads the triangles of an OBJ or glTF file (`.glb`, `.gltf`), by its ending: those of [`read_obj`], or all meshes of the
-/// glTF scene where their nodes place them, y up, in their shape without morph targets, skins and animations.
-pub fn read_mesh(path: impl AsRef<Path>) -> Result<Mesh> {
-    let path = path.as_ref();
-    if !is_gltf(path) {
-        return read_obj(path);
+/// Reads the triangles of an OBJ or glTF file (`.glb`, `.gltf`), by its ending: those of [`read_obj`](super::read_obj), or all meshes of the
+/// glTF scene where their nodes place them, y up, in their shape without morph targets, skins and animations. Of one object
+/// ([`MeshFile`]) it returns the triangles and their vertices alone, and fails if the file has none of that name.
+pub fn read_mesh(file: impl Into<MeshFile>) -> Result<Mesh> {
+    let file = file.into();
+    if is_gltf(&file.path) {
+        let Triangles { positions, faces, .. } = Triangles::read(&file)?;
+        return Ok(Mesh { positions, faces });
     }
-    let Triangles { positions, faces, .. } = Triangles::read(path)?;
-    Ok(Mesh { positions, faces })
+    let mesh = Polygons::read(&file)?.into_mesh()?;
+    Ok(if file.object.is_some() { mesh.without_unused() } else { mesh })
+}
+
+impl Mesh {
+    /// Returns it without the vertices of no face.
+    fn without_unused(mut self) -> Self {
+        let mut number = vec![None; self.positions.len()];
+        for &vertex in self.faces.as_flattened() {
+            number[vertex as usize] = Some(0);
+        }
+        let mut positions = Vec::new();
+        for (position, number) in
+            self.positions.iter().zip(&mut number).filter(|(_, number)| number.is_some())
+        {
+            *number = Some(positions.len() as u32);
+            positions.push(*position);
+        }
+        for vertex in self.faces.as_flattened_mut() {
+            *vertex = number[*vertex as usize].unwrap_or_default();
+        }
+        Self { positions, ..self }
+    }
 }
 
 /// Computes smooth unit normals, shape [V, 3]: the area-weighted mean of the normals of the adjacent

@@ -36,7 +36,7 @@ pub(crate) use document::{Node, parse_json};
 pub use embedded::Embedded;
 pub use format::Format;
 pub(crate) use gltf::is_gltf;
-pub use mesh::{Mesh, read_mesh, vertex_normals};
+pub use mesh::{Mesh, MeshFile, read_mesh, vertex_normals};
 pub use npy::{parse_npy, read_npy};
 pub use npz::read_npz_array;
 pub(crate) use obj::Polygons;

@@ -3,17 +3,18 @@
 //! Parsed by hand: the usual crate renumbers vertices in the order in which faces use them, but here a vertex
 //! index is a position in the grid.
 
-use super::{Mesh, Topology, read_bytes};
+use super::{Mesh, MeshFile, Topology, read_bytes};
 use crate::{Error, Result};
 use num_traits::Float;
 use std::{
+    collections::BTreeSet,
     io::{self, Write},
     path::Path,
     str::FromStr,
 };
 
-/// The statements that are skipped: all those of the format that do not describe positions or faces.
-const IGNORED: &str = "vn vp o g s mg l p usemtl mtllib usemap maplib deg bmat step cstype curv curv2 surf parm \
+/// The statements that are skipped: all those of the format that do not describe positions, faces or what these belong to.
+const IGNORED: &str = "vn vp s mg l p usemtl mtllib usemap maplib deg bmat step cstype curv curv2 surf parm \
     trim hole scrv sp end con call bevel c_interp d_interp lod shadow_obj trace_obj ctech stech";
 
 /// The vertices and faces of an OBJ file, exactly as given there.
@@ -35,16 +36,47 @@ pub(crate) struct Polygons<T> {
 /// Reads the positions and faces of an OBJ file. Polygons are split into triangles; vertices keep the order
 /// of the file.
 pub fn read_obj(path: impl AsRef<Path>) -> Result<Mesh> {
-    Polygons::read(path.as_ref())?.into_mesh()
+    Polygons::read(&path.as_ref().into())?.into_mesh()
+}
+
+/// The object whose faces are read, and where the lines of a file are.
+#[derive(Default)]
+struct Choice<'a> {
+    /// Its name; `None` for all.
+    wanted: Option<&'a str>,
+    /// Whether the object and the group of the lines is the one that is wanted.
+    is_in: [bool; 2],
+    /// The names of all objects and groups.
+    names: BTreeSet<String>,
+}
+
+impl Choice<'_> {
+    /// Begins an object (`o`, 0) or a group (`g`, 1), or a group of several names.
+    fn begin(&mut self, kind: usize, names: &str) {
+        let Some(wanted) = self.wanted else { return };
+        let names = names.trim();
+        self.is_in[kind] =
+            names == wanted || kind == 1 && names.split_ascii_whitespace().any(|name| name == wanted);
+        if kind == 0 {
+            self.is_in[1] = false;
+        }
+        self.names.insert(names.to_owned());
+    }
+
+    /// Whether faces are wanted here.
+    fn takes(&self) -> bool {
+        self.wanted.is_none() || self.is_in.contains(&true)
+    }
 }
 
 impl<T: Float + FromStr> Polygons<T> {
-    /// Reads a file.
-    pub fn read(path: &Path) -> Result<Self> {
-        Self::parse(&read_bytes(path)?, &path.display().to_string())
+    /// Reads a file: all of its vertices, and the faces of the object. Fails if there is none of that name.
+    pub fn read(file: &MeshFile) -> Result<Self> {
+        Self::parse(&read_bytes(&file.path)?, &file.path.display().to_string(), file.object.as_deref())
     }
 
-    fn parse(bytes: &[u8], origin: &str) -> Result<Self> {
+    fn parse(bytes: &[u8], origin: &str, object: Option<&str>) -> Result<Self> {
+        let mut choice = Choice { wanted: object, ..Choice::default() };
         let (positions, faces, uv, uv_of) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         let mut found = Self { origin: origin.to_owned(), positions, faces, uv, uv_of };
         // Some programs write a byte-order mark.
@@ -80,10 +112,16 @@ impl<T: Float + FromStr> Polygons<T> {
                     found.uv.push(texture(words));
                     continue;
                 }
+                Some(kind @ ("o" | "g")) => {
+                    choice.begin(usize::from(kind == "g"), line.trim_start().get(1..).unwrap_or_default());
+                    continue;
+                }
                 Some("f") => (
                     face(words, found.positions.len(), found.uv.len()).map(|(face, uv)| {
-                        found.faces.push((face, k + 1));
-                        found.uv_of.push(uv);
+                        if choice.takes() {
+                            found.faces.push((face, k + 1));
+                            found.uv_of.push(uv);
+                        }
                     }),
                     "'f' with three or more vertices that exist, defined above it",
                 ),
@@ -102,6 +140,14 @@ impl<T: Float + FromStr> Polygons<T> {
                 ));
             }
         }
+        if let Some(name) = object.filter(|_| found.faces.is_empty()) {
+            return Err(Error::unknown(
+                origin,
+                "object with faces",
+                name,
+                choice.names.iter().map(|name| &**name),
+            ));
+        }
         // A face may use a coordinate that comes after it.
         let many = found.uv.len();
         for uv in found.uv_of.iter_mut().flatten() {
@@ -113,7 +159,7 @@ impl<T: Float + FromStr> Polygons<T> {
 
 impl Polygons<f32> {
     /// Splits the polygons into triangle fans around their first corners. Fails if there are no vertices.
-    fn into_mesh(self) -> Result<Mesh> {
+    pub fn into_mesh(self) -> Result<Mesh> {
         if self.positions.is_empty() {
             return Err(Error::invalid(self.origin, "vertices", "at least one 'v' line", "none"));
         }
@@ -192,7 +238,7 @@ mod tests {
     use super::*;
 
     fn parse(text: &[u8], origin: &str) -> Result<Mesh> {
-        Polygons::parse(text, origin)?.into_mesh()
+        Polygons::parse(text, origin, None)?.into_mesh()
     }
 
     #[test]

@@ -1,9 +1,8 @@
 //! Meshes with texture coordinates, which a cloth can carry along.
 
 use super::gltf::{Triangles, is_gltf};
-use super::{Polygons, Topology};
+use super::{MeshFile, Polygons, Topology};
 use crate::{Error, Result};
-use std::path::Path;
 
 /// How far beyond 0 to 1 a texture coordinate may be rounded.
 const ROUNDING: f64 = 1e-6;
@@ -20,15 +19,14 @@ pub struct RenderMesh {
 }
 
 impl RenderMesh {
-    /// Reads an OBJ or glTF file (`.glb`, `.gltf`), by its ending. In glTF all meshes of the scene are one, where their nodes
+    /// Reads an OBJ or glTF file (`.glb`, `.gltf`), by its ending, or one object in it ([`MeshFile`]). In glTF all meshes of the scene are one, where their nodes
     /// place them, in their shape without morph targets, skins and animations. Fails if it has no faces, if a corner of one has
     /// no texture coordinates, or if one of them is not finite or not between 0 and 1.
-    pub fn read(path: impl AsRef<Path>) -> Result<Self> {
-        let path = path.as_ref();
-        if is_gltf(path) {
-            Self::of_triangles(Triangles::read(path)?)
-        } else {
-            Self::of(Polygons::read(path)?)
+    pub fn read(file: impl Into<MeshFile>) -> Result<Self> {
+        let file = file.into();
+        match is_gltf(&file.path) {
+            true => Self::of_triangles(Triangles::read(&file)?),
+            false => Self::of(Polygons::read(&file)?),
         }
     }
 
@@ -43,7 +41,7 @@ impl RenderMesh {
     }
 
     /// Returns the zero-based number in the file of each vertex, which those along a seam of an OBJ share; those of glTF are
-    /// counted through all meshes of the scene. Shape \[V\].
+    /// counted through all meshes of the scene, or of the object. Shape \[V\].
     pub fn sources(&self) -> &[u32] {
         &self.sources
     }

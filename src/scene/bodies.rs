@@ -1,9 +1,10 @@
 //! The bodies of a scene, in SI units and the scene's axes.
 
+use super::file::read_object;
 use super::setup::warn_once;
 use super::{Units, UpAxis};
 use crate::cloth::{Body, DistanceField, Pose, Shape};
-use crate::io::{self, Node};
+use crate::io::{self, MeshFile, Node};
 use crate::{Error, Result, memory};
 use glam::{DQuat, DVec3};
 use ndarray::{ArrayD, Ix2};
@@ -74,8 +75,8 @@ pub enum BodyShape {
 /// Where the mesh of a body comes from.
 #[derive(Clone, Debug, PartialEq)]
 pub enum MeshSource {
-    /// An OBJ file in the scene's axes, or a glTF file (`.glb`, `.gltf`), which is y up.
-    File(PathBuf),
+    /// An OBJ file in the scene's axes, or a glTF file (`.glb`, `.gltf`), which is y up, or an object in it.
+    File(MeshFile),
     /// The mesh itself.
     Mesh {
         /// Vertices in the scene's axes.
@@ -151,7 +152,7 @@ impl BodySettings {
                     need("sides_m", "its sides [m]")?.array("three lengths above 0 [m]", Node::positive)?;
                 (BodyShape::Box { sides_m }, &["sides_m"])
             }
-            "mesh" => (read_mesh(node, folder)?, &["file", "vertices", "faces", "unit_m", "cells"]),
+            "mesh" => (read_mesh(node, folder)?, &["file", "object", "vertices", "faces", "unit_m", "cells"]),
             other => {
                 let origin = format!("{}: {}", node.origin, shape.path);
                 let known = ["plane", "sphere", "capsule", "box", "mesh"];
@@ -187,7 +188,12 @@ impl BodySettings {
                 set("unit_m", json!(unit_m));
                 set("cells", json!(cells));
                 match source {
-                    MeshSource::File(path) => set("file", json!(path.to_string_lossy())),
+                    MeshSource::File(file) => {
+                        set("file", json!(file.path.to_string_lossy()));
+                        if let Some(object) = &file.object {
+                            set("object", json!(object));
+                        }
+                    }
                     MeshSource::Mesh { vertices, faces } => {
                         set("vertices", json!(vertices));
                         set("faces", json!(faces));
@@ -308,12 +314,12 @@ impl MeshSource {
             Ok(distances)
         };
         match self {
-            Self::File(path) => {
-                let mesh = io::read_mesh(path)?;
+            Self::File(file) => {
+                let mesh = io::read_mesh(file.clone())?;
                 // glTF is y up, whatever the scene is.
-                let axes = if io::is_gltf(path) { UpAxis::Y } else { up };
+                let axes = if io::is_gltf(&file.path) { UpAxis::Y } else { up };
                 let mut vertices = mesh.positions.iter().map(|p| axes.to_z_up(p.map(f64::from)));
-                build(&mut vertices, &mesh.faces, (&path.display().to_string(), "faces"))
+                build(&mut vertices, &mesh.faces, (&file.to_string(), "faces"))
             }
             Self::Mesh { vertices, faces } => {
                 build(&mut vertices.iter().map(|v| up.to_z_up(*v)), faces, (origin, field))
@@ -325,7 +331,12 @@ impl MeshSource {
 /// Reads the shape of a body that is a mesh.
 fn read_mesh(node: &Node, folder: &Path) -> Result<BodyShape> {
     let source = match (node.get("file"), node.get("vertices"), node.get("faces")) {
-        (Some(file), None, None) => MeshSource::File(folder.join(file.text()?)),
+        (Some(file), None, None) => {
+            MeshSource::File(MeshFile { path: folder.join(file.text()?), object: read_object(node)? })
+        }
+        _ if let Some(object) = node.get("object") => {
+            return Err(object.invalid("none without the \"file\" that it is in"));
+        }
         (None, Some(vertices), Some(faces)) => {
             let corner =
                 |n: &Node| u32::try_from(n.count()?).map_err(|_| n.invalid("the number of a vertex"));

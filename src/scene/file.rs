@@ -7,7 +7,7 @@ use super::{
     SelfContactSettings, Side, Start, StartFile, Stiffness, UpAxis, Wind, authors,
 };
 use crate::cloth::{Grid, Material, Weave};
-use crate::io::Node;
+use crate::io::{MeshFile, Node};
 use crate::{Error, Result, io};
 use serde_json::{Value, json};
 use std::io::Write;
@@ -103,7 +103,10 @@ impl Scene {
                 Side::Both(sides) => json!(sides),
             },
             "mask": self.mask.as_ref().map(MaskSettings::to_json),
-            "mesh": self.mesh.as_ref().map(|path| path.to_string_lossy()),
+            "mesh": self.mesh.as_ref().map(|file| match &file.object {
+                Some(object) => json!({ "file": file.path.to_string_lossy(), "object": object }),
+                None => json!(file.path.to_string_lossy()),
+            }),
             "material": self.stiffness.to_json(),
             "damping_s": self.damping_s,
             "maps": self.maps.to_json(),
@@ -157,15 +160,15 @@ impl Scene {
         if let Motion::File(path) = &mut scene.motion {
             absolute(path)?;
         }
-        scene.mesh.iter_mut().try_for_each(absolute)?;
+        scene.mesh.iter_mut().map(|file| &mut file.path).try_for_each(absolute)?;
         scene.mask.iter_mut().flat_map(MaskSettings::files_mut).try_for_each(absolute)?;
         scene.maps.files_mut().try_for_each(absolute)?;
         for body in &mut scene.bodies {
             if let BodyMotion::File(path) = &mut body.motion {
                 absolute(path)?;
             }
-            if let BodyShape::Mesh { source: MeshSource::File(path), .. } = &mut body.shape {
-                absolute(path)?;
+            if let BodyShape::Mesh { source: MeshSource::File(file), .. } = &mut body.shape {
+                absolute(&mut file.path)?;
             }
         }
         io::replace(path, |w| writeln!(w, "{:#}", scene.to_json()))
@@ -272,23 +275,29 @@ fn read(node: &Node, folder: &Path) -> Result<Scene> {
     })
 }
 
-fn read_mesh(node: &Node, folder: &Path) -> Result<PathBuf> {
+fn read_mesh(node: &Node, folder: &Path) -> Result<MeshFile> {
     if node.value.is_string() {
         let path = Path::new(node.text()?);
         let is_obj = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("obj"));
         return if is_obj || io::is_gltf(path) {
-            Ok(folder.join(node.text()?))
+            Ok(folder.join(path).into())
         } else {
             Err(node.invalid("the path of an .obj, .glb or .gltf file"))
         };
     }
     if !node.value.is_object() {
-        return Err(node.invalid("the path of an .obj, .glb or .gltf file, or {\"file\": path}"));
+        let expected = "the path of an .obj, .glb or .gltf file, or {\"file\": path, \"object\": name}";
+        return Err(node.invalid(expected));
     }
-    node.deny_unknown(&["file"])?;
+    node.deny_unknown(&["file", "object"])?;
     let file = node.get("file").ok_or_else(|| node.invalid("{\"file\": path}"))?;
     file.text()?;
-    read_mesh(&file, folder)
+    Ok(MeshFile { object: read_object(node)?, ..read_mesh(&file, folder)? })
+}
+
+/// Reads which object of a file of meshes is meant.
+pub(super) fn read_object(node: &Node) -> Result<Option<String>> {
+    node.get_or("object", None, |name| name.text().map(|name| Some(name.to_owned())))
 }
 
 fn read_frames(node: &Node) -> Result<Option<usize>> {

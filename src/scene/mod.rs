@@ -31,7 +31,7 @@
 //! | `grid` | `[H, W]`, particles along the height and the width, 8 to 4096 each, or one number for both | | `[32, 32]` |
 //! | `side_m` | side along the height, from which the width follows as cells are square; or `[height, width]`, which must make cells square to within 0.1 % | m | `1` |
 //! | `mask` | the part of the sheet that the cloth has, see below | | all of it |
-//! | `mesh` | the path of an `.obj`, `.glb` or `.gltf`, or `{"file"}`: a mesh with texture coordinates that the cloth carries along, see below | | the grid's own |
+//! | `mesh` | the path of an `.obj`, `.glb` or `.gltf`, or `{"file", "object"}`: a mesh with texture coordinates that the cloth carries along, see below | | the grid's own |
 //! | `mass_kg` or `areal_mass_kg_m2` | mass of the whole sheet, before it is cut, or mass per area; above 0 | kg or kg/m^2 | areal, that of the fabric, or else `0.187` |
 //! | `material` | grid coefficients `{"stretch", "shear", "bend"}`, each optional; or SI moduli `{"stretch_modulus", "shear_modulus", "bending_stiffness"}`, all three required; or `"paper"`, which is `{"stretch": 1000, "shear": 8, "bend": 0.5}`; or the name of a fabric, see below. Stretch and bend may be two numbers, `[along the height, along the width]`: warp and weft | 1; or N/m, N/m, N m | `{"stretch_modulus": 1492.888, "shear_modulus": 44.8333, "bending_stiffness": 0.000752464}` |
 //! | `damping_s` | strain-rate damping: how long stretched edges resist a change of their length, the stiffness-proportional (Rayleigh) coefficient of stretch | s | `0` |
@@ -128,7 +128,7 @@
 //! 0.5 edges ([`crate::cloth::SelfContact`]), whatever their speed. It is the stricter way to keep layers apart.
 //!
 //! **Bodies.** A body has a `shape`: `plane` (everything below it, with a `normal`), `sphere` (`radius_m`), `capsule`
-//! (`radius_m`, `length_m` between the centres of its ends, `axis`), `box` (`sides_m`) or `mesh` (the `file` of an `.obj`, `.glb` or `.gltf`, or
+//! (`radius_m`, `length_m` between the centres of its ends, `axis`), `box` (`sides_m`) or `mesh` (the `file` of an `.obj`, `.glb` or `.gltf`, with an `object` in it, or
 //! `vertices` and `faces`, with `unit_m`, the length of its unit, and `cells`, the samples of its distance along its longest
 //! side, 8 to 256, 64 if left out). A mesh must be closed; edges finer than a cell are rounded. A body is at `position_m`, rotated by
 //! `rotation`, `[degrees, x, y, z]`; in place of a rotation, `normal` and `axis` tell where its up axis points. It has a
@@ -271,8 +271,9 @@ pub use start::{Start, StartFile, Transform};
 pub use units::{Moduli, Units, UpAxis};
 
 use crate::cloth::{Grid, Material, Repulsion, SelfContact, Weave};
+use crate::io::MeshFile;
 use crate::{Error, Result};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Gravity of a scene that does not specify it [m/s^2].
 const GRAVITY_M_S2: f64 = 9.8;
@@ -446,7 +447,7 @@ pub struct Scene {
     /// How it is bent where nothing pulls at it.
     pub rest_shape: RestShape,
     /// An OBJ or glTF file with texture coordinates: the mesh that the cloth carries along ([`RenderMesh`](crate::io::RenderMesh)).
-    pub mesh: Option<PathBuf>,
+    pub mesh: Option<MeshFile>,
     /// Mass of the sheet.
     pub mass: Mass,
     /// Stiffness of the sheet.
@@ -546,11 +547,11 @@ impl Scene {
             _ => None,
         });
         let meshes = self.bodies.iter().filter_map(|body| match &body.shape {
-            BodyShape::Mesh { source: MeshSource::File(path), .. } => Some(&**path),
+            BodyShape::Mesh { source: MeshSource::File(file), .. } => Some(&*file.path),
             _ => None,
         });
         let masks = self.mask.iter().flat_map(MaskSettings::files).chain(self.maps.files());
-        let mesh = self.mesh.as_deref();
+        let mesh = self.mesh.as_ref().map(|file| &*file.path);
         start.into_iter().chain(motion).chain(poses).chain(meshes).chain(masks).chain(mesh)
     }
 

@@ -12,7 +12,7 @@ pub(super) struct Mesh(Polygons<f64>);
 impl Mesh {
     /// Reads an OBJ file.
     pub fn read(path: &Path) -> Result<Self> {
-        Polygons::read(path).map(Self)
+        Polygons::read(&path.into()).map(Self)
     }
 
     /// Returns the positions of the particles of `grid`: in the order of the file if its faces, if there are any, allow that,

@@ -9,13 +9,12 @@ use crate::cloth::{
     Cloth, Control, Embedding, Grid, Intersection, Model, Pose, State, Sweep, VertexView, cast,
     intersections, untangle,
 };
-use crate::io::{Embedded, Frames, RenderMesh, Topology, Trajectory};
+use crate::io::{Embedded, Frames, MeshFile, RenderMesh, Topology, Trajectory};
 use crate::{Error, Result, memory};
 use glam::DVec3;
 use num_traits::Float;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::ops::RangeInclusive;
-use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// The most frames that a scene may ask for: far above any use, well within memory.
@@ -160,9 +159,9 @@ pub(super) fn sweeps(poses: &[Vec<Pose>], frame: usize) -> Vec<Sweep> {
 }
 
 /// Reads a mesh and places it in the cloth.
-fn embed(path: &Path, grid: Grid, cloth: &Cloth) -> Result<EmbeddedMesh> {
-    let mesh = RenderMesh::read(path)?;
-    let origin = path.display().to_string();
+fn embed(file: &MeshFile, grid: Grid, cloth: &Cloth) -> Result<EmbeddedMesh> {
+    let mesh = RenderMesh::read(file.clone())?;
+    let origin = file.to_string();
     let embedding = Embedding::new(grid, cloth.mask.as_ref(), mesh.topology().uv(), &origin)?;
     Ok(EmbeddedMesh { mesh, embedding })
 }
@@ -443,7 +442,7 @@ impl Scene {
             return Err(Error::invalid(&self.origin, "start", expected, "settled"));
         }
         let embedding = match &self.mesh {
-            Some(path) => Some(Arc::new(embed(path, grid, &cloth)?)),
+            Some(file) => Some(Arc::new(embed(file, grid, &cloth)?)),
             None => None,
         };
         let wind = Airflow::new(&self.wind, &units, self.up);

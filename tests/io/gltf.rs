@@ -2,7 +2,7 @@
 
 use super::{GRID, waving};
 use fnopt::cloth::Embedding;
-use fnopt::io::{Format, Mesh, RenderMesh, read_mesh};
+use fnopt::io::{Format, Mesh, MeshFile, RenderMesh, read_mesh};
 use serde_json::{Value, json};
 use std::fs;
 use std::path::Path;
@@ -273,6 +273,54 @@ fn nodes_place_their_meshes() {
     assert_eq!(read(maker.text()).unwrap().faces.len(), 3);
     maker.document.as_object_mut().unwrap().remove("nodes");
     assert_eq!(read(maker.text()).unwrap().positions[1], [1.0, 0.0, 0.0]);
+}
+
+/// A node with those below it, or a mesh, by its name.
+#[test]
+fn an_object_is_read_alone() {
+    let mut maker = Maker::triangle();
+    let first = maker.document["meshes"][0].clone();
+    maker.document["meshes"] = json!([first, first]);
+    maker.document["meshes"][1]["name"] = "table".into();
+    maker.document["scenes"] = json!([{"nodes": [0, 1]}]);
+    maker.document["nodes"] = json!([
+        {"mesh": 0, "name": "room", "translation": [1, 0, 0], "children": [2]},
+        {"mesh": 1, "name": "other", "translation": [0, 0, 3]},
+        {"mesh": 1, "name": "under", "translation": [0, 2, 0]},
+    ]);
+    let folder = tempfile::tempdir().unwrap();
+    let path = write(folder.path(), "room.gltf", maker.text());
+    let firsts = |object: Option<&str>| {
+        let file = MeshFile { path: path.clone(), object: object.map(str::to_owned) };
+        read_mesh(file)
+            .map(|mesh| mesh.positions.chunks_exact(3).map(|corners| corners[0]).collect::<Vec<_>>())
+    };
+    let [room, under, other] = [[1.0f32, 0.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 3.0]];
+    for (object, expected) in [
+        (None, vec![room, under, other]),
+        (Some("room"), vec![room, under]),
+        (Some("under"), vec![under]),
+        (Some("table"), vec![under, other]),
+    ] {
+        assert_eq!(firsts(object).unwrap(), expected, "{object:?}");
+    }
+    let error = firsts(Some("tables")).unwrap_err().to_string();
+    assert!(
+        error.ends_with(
+            "unknown object with a mesh 'tables' (did you mean table? others: other, room, under)"
+        ),
+        "{error}"
+    );
+    let file = MeshFile { path: path.clone(), object: Some("under".into()) };
+    assert_eq!(file.to_string(), format!("{}: under", path.display()));
+    assert_eq!(RenderMesh::read(file).unwrap().topology().vertices(), 3);
+    // A file without nodes has its meshes.
+    for field in ["nodes", "scenes", "scene"] {
+        maker.document.as_object_mut().unwrap().remove(field);
+    }
+    write(folder.path(), "room.gltf", maker.text());
+    assert_eq!(firsts(Some("table")).unwrap(), [[0.0; 3]]);
+    assert!(firsts(Some("room")).is_err());
 }
 
 #[test]

@@ -96,7 +96,7 @@ fn scenes_with_a_mesh_survive_a_round_trip() {
     let relative = Scene { mesh: Some("data/mesh.obj".into()), ..scene };
     relative.save(folder.path().join("saved.json")).unwrap();
     let saved = Scene::load(folder.path().join("saved.json")).unwrap();
-    assert_eq!(saved.mesh, Some(std::env::current_dir().unwrap().join("data/mesh.obj")));
+    assert_eq!(saved.mesh, Some(std::env::current_dir().unwrap().join("data/mesh.obj").into()));
 }
 
 #[test]
@@ -122,12 +122,49 @@ fn what_is_no_mesh_is_refused() {
     );
     refused(
         r#"{"mesh": 3}"#,
-        &["mesh: expected the path of an .obj, .glb or .gltf file, or {\"file\": path}"],
+        &["mesh: expected the path of an .obj, .glb or .gltf file, or {\"file\": path, \"object\": name}"],
+    );
+    refused(r#"{"mesh": {"file": "a.obj", "object": 3}}"#, &["mesh.object: expected a text"]);
+    refused(r#"{"mesh": {"file": "a.obj", "objects": "b"}}"#, &["objects", "did you mean object"]);
+    let bodies = |fields: &str| format!(r#"{{"bodies": [{{"shape": "mesh", {fields}}}]}}"#);
+    refused(
+        &bodies(r#""object": "b", "vertices": [], "faces": []"#),
+        &["bodies[0].object: expected none without the \"file\" that it is in"],
     );
     refused(r#"{"mesh": {"path": "a.obj"}}"#, &["path", "file"]);
     refused(r#"{"mesh": {"file": 3}}"#, &["mesh.file"]);
     refused(r#"{"mehs": "a.obj"}"#, &["mehs", "did you mean mesh"]);
     refused(r#"{"render_mesh": "a.obj"}"#, &["it is called \"mesh\""]);
+}
+
+/// A file with a flag, a closed body and something else, as programs write what they have.
+#[test]
+fn a_cloth_and_its_bodies_may_be_objects_of_one_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let things = "o Elsewhere\nv 9 9 9\nv 9 8 9\nv 8 9 9\nvt 7 7\nf 1/1 2/1 3/1\n\
+        o Flag\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0.5 1\nf 4/2 5/3 6/4\n\
+        g Stand big\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 7 9 8\nf 7 8 10\nf 8 9 10\nf 7 10 9\n";
+    std::fs::write(folder.path().join("things.obj"), things).unwrap();
+    let text = |object: &str| {
+        format!(
+            r#"{{"grid": [12, 12], "start": "flat", "mesh": {{"file": "things.obj", "object": "{object}"}},
+                "bodies": [{{"shape": "mesh", "file": "things.obj", "object": "Stand", "cells": 16,
+                    "position_m": [0, -3, 0]}}]}}"#
+        )
+    };
+    let scene = Scene::parse(&text("Flag"), "scene.json", folder.path()).unwrap();
+    assert_eq!(Scene::parse(&scene.to_json().to_string(), "scene.json", Path::new("")).unwrap(), scene);
+    let setup = scene.setup().unwrap();
+    assert_eq!(setup.topology().vertices(), 3);
+    // All of the stand and nothing of the rest, which is metres away.
+    let body = &setup.model.cloths[0].bodies[0];
+    let fnopt::cloth::Shape::Mesh { field, .. } = &body.shape else { panic!("{body:?}") };
+    assert!((field.volume() - 1.0 / 6.0).abs() < 1e-12, "{}", field.volume());
+    assert!(field.bounds().as_flattened().iter().all(|c| c.abs() < 1.1), "{:?}", field.bounds());
+    let error =
+        Scene::parse(&text("flag"), "scene.json", folder.path()).unwrap().setup().unwrap_err().to_string();
+    let said = "things.obj: unknown object with faces 'flag' (did you mean Flag";
+    assert!(error.contains(said), "{error}");
 }
 
 /// The vertices of a sheet in another order, as other programs write them.

@@ -5,12 +5,13 @@
 mod accessor;
 mod file;
 
-use super::Node;
+use super::{MeshFile, Node};
 use crate::{Error, Result, memory};
 use accessor::{indices, vectors};
 use file::File;
 use glam::{DAffine3, DMat4, DQuat, DVec3};
 use serde_json::Value;
+use std::collections::BTreeSet;
 use std::path::Path;
 
 /// Vertices, and corners of triangles, that even a small file may have by placing its meshes several times.
@@ -47,13 +48,14 @@ pub(crate) fn is_gltf(path: &Path) -> bool {
 }
 
 impl Triangles {
-    /// Reads a file: its default scene, or all nodes if it has no scene. Morph targets, skins and animations are left out.
-    pub fn read(path: &Path) -> Result<Self> {
-        let file = File::read(path)?;
+    /// Reads a file: its default scene, or all nodes if it has no scene, or the object of this name in it. Morph targets, skins and
+    /// animations are left out.
+    pub fn read(of: &MeshFile) -> Result<Self> {
+        let file = File::read(&of.path)?;
         let origin = file.origin.clone();
         let (positions, uv, faces, parts) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         let mut found = Self { origin, positions, uv, faces, parts };
-        for (mesh, place) in placed(&file)? {
+        for (mesh, place) in placed(&file, of.object.as_deref())? {
             let primitives = mesh.get("primitives").ok_or_else(|| mesh.invalid("\"primitives\""))?;
             primitives.items()?.iter().try_for_each(|primitive| found.add(&file, primitive, place))?;
         }
@@ -155,21 +157,34 @@ fn triangles(mode: usize, corners: &[u32]) -> Option<Vec<[u32; 3]>> {
     })
 }
 
-/// Returns the meshes of the scene and where its nodes place them.
-fn placed(file: &File) -> Result<Vec<(Node<'_>, DAffine3)>> {
+/// Returns the meshes of the scene and where its nodes place them: all, or those of the object, which is a node of this name with those
+/// below it, or a mesh. Fails if there is none.
+fn placed<'a>(file: &'a File, object: Option<&str>) -> Result<Vec<(Node<'a>, DAffine3)>> {
     let root = file.root();
+    let mut names = BTreeSet::new();
+    let mut is_object = |node: &Node| {
+        let name = node.value.get("name").and_then(Value::as_str);
+        names.extend(name.map(str::to_owned));
+        object.is_none() || name == object
+    };
     let count = |list: &str| root.value.get(list).and_then(Value::as_array).map_or(0, Vec::len);
     let all = count("nodes");
-    let mut waiting: Vec<(usize, DAffine3)> = Vec::new();
+    let mut waiting: Vec<(usize, DAffine3, bool)> = Vec::new();
     // In their order, since the last one is taken first.
-    let add = |waiting: &mut Vec<_>, nodes: Vec<usize>, place: DAffine3| {
-        waiting.extend(nodes.into_iter().rev().map(|node| (node, place)));
+    let add = |waiting: &mut Vec<_>, nodes: Vec<usize>, place: DAffine3, is_in: bool| {
+        waiting.extend(nodes.into_iter().rev().map(|node| (node, place, is_in)));
     };
     let mut is_known = vec![false; all];
     let roots = match (count("scenes"), all) {
         (0, 0) => {
             let meshes = root.get("meshes").map_or(Ok(Vec::new()), |meshes| meshes.items())?;
-            return Ok(meshes.into_iter().map(|mesh| (mesh, DAffine3::IDENTITY)).collect());
+            let meshes: Vec<_> = meshes.into_iter().filter(|mesh| is_object(mesh)).collect();
+            return some(
+                file,
+                meshes.into_iter().map(|mesh| (mesh, DAffine3::IDENTITY)).collect(),
+                object,
+                &names,
+            );
         }
         (0, _) => {
             let mut is_root = vec![true; all];
@@ -187,22 +202,41 @@ fn placed(file: &File) -> Result<Vec<(Node<'_>, DAffine3)>> {
             numbers(&scene, "nodes", all)?
         }
     };
-    add(&mut waiting, roots, DAffine3::IDENTITY);
+    add(&mut waiting, roots, DAffine3::IDENTITY, false);
     let mut meshes = Vec::new();
-    while let Some((number, above)) = waiting.pop() {
+    while let Some((number, above, is_in)) = waiting.pop() {
         let node = file.item("nodes", number, &root)?;
         if std::mem::replace(&mut is_known[number], true) {
             return Err(node.invalid("a node of one parent, which no child of it has for a child"));
         }
         let place = above * local(&node)?;
+        let is_in = is_object(&node) || is_in;
         if let Some(mesh) = node.get("mesh") {
             // The joints place the mesh of a skin, not the node.
             let place = if node.get("skin").is_some() { DAffine3::IDENTITY } else { place };
-            meshes.push((file.named("meshes", &mesh)?, place));
+            let mesh = file.named("meshes", &mesh)?;
+            if is_object(&mesh) || is_in {
+                meshes.push((mesh, place));
+            }
         }
-        add(&mut waiting, numbers(&node, "children", all)?, place);
+        add(&mut waiting, numbers(&node, "children", all)?, place, is_in);
     }
-    Ok(meshes)
+    some(file, meshes, object, &names)
+}
+
+/// Fails if an object was asked for and has no meshes.
+fn some<'a>(
+    file: &File,
+    meshes: Vec<(Node<'a>, DAffine3)>,
+    object: Option<&str>,
+    names: &BTreeSet<String>,
+) -> Result<Vec<(Node<'a>, DAffine3)>> {
+    match object {
+        Some(name) if meshes.is_empty() => {
+            Err(Error::unknown(&file.origin, "object with a mesh", name, names.iter().map(|name| &**name)))
+        }
+        _ => Ok(meshes),
+    }
 }
 
 /// Reads a list of numbers of nodes, which there are `all` of.
