@@ -22,7 +22,7 @@ use std::path::Path;
 /// }
 /// let lowest = simulation.positions().iter().map(|p| p[1]).fold(f32::INFINITY, f32::min);
 /// println!("frame 30 on {}: lowest point {lowest:.3} m", simulation.device().name());
-/// # assert!((-0.6..-0.1).contains(&lowest), "{lowest}");
+/// # assert!((-0.9..-0.4).contains(&lowest), "{lowest}");
 /// # Ok::<(), fnopt::Error>(())
 /// ```
 ///
