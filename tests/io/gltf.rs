@@ -307,7 +307,7 @@ fn an_object_is_read_alone() {
     let error = firsts(Some("tables")).unwrap_err().to_string();
     assert!(
         error.ends_with(
-            "unknown object with a mesh 'tables' (did you mean table? others: other, room, under)"
+            "unknown object with a mesh 'tables' (did you mean table? others: other, under, room)"
         ),
         "{error}"
     );
