@@ -37,7 +37,7 @@ pub(super) type Scratch<T> = [[Vec<T>; 2]; 3];
 ///
 /// Mode k has the same values at both ends of a row if k is even, and opposite ones if it is odd. So along a long axis even modes are products
 /// with the sums of what is as far from either end, odd ones with the differences: two matrices of half the size. In memory the
-/// even modes come first, and the odd ones of a row begin at a multiple of [`LANES`].
+/// even modes come first, and the odd ones of a row begin at a multiple of the width of registers.
 pub struct Cosines<T> {
     grid: Grid,
     /// Numbers in memory of the even and of the odd modes of a row.
