@@ -143,7 +143,7 @@ fn a_cloth_and_its_bodies_may_be_objects_of_one_file() {
     let folder = tempfile::tempdir().unwrap();
     let things = "o Elsewhere\nv 9 9 9\nv 9 8 9\nv 8 9 9\nvt 7 7\nf 1/1 2/1 3/1\n\
         o Flag\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0.5 1\nf 4/2 5/3 6/4\n\
-        g Stand big\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 7 9 8\nf 7 8 10\nf 8 9 10\nf 7 10 9\n";
+        o Things\ng Stand big\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 7 9 8\nf 7 8 10\nf 8 9 10\nf 7 10 9\n";
     std::fs::write(folder.path().join("things.obj"), things).unwrap();
     let text = |object: &str| {
         format!(
