@@ -75,7 +75,7 @@ int main(void) {
     for (int k = 0; k < 216; ++k) EXPECT(moved[k] == buffer[k] && fabs(moved[216 + k] - buffer[k] - 1.0) < 1e-5);
     const double one_target[3] = {0};
     const FnoptControl control = {.handles = one_target, .handle_count = 1};
-    EXPECT(fnopt_step(simulation, &control) == FNOPT_STATUS_BAD_INPUT && said("control: handles: expected 4, found 1"));
+    EXPECT(fnopt_step(simulation, &control) == FNOPT_STATUS_BAD_INPUT && said("control: handles: expected 4, one for each handle of all cloths together, found 1"));
     uint32_t held[4], faces[2 * 7 * 8][3];
     EXPECT(fnopt_handles(simulation, NULL, 0) == 4 && fnopt_handles(simulation, held, 4) == 4);
     EXPECT(held[0] == 63 && held[1] == 0 && held[2] == 63 && held[3] == 0);

@@ -156,7 +156,7 @@ def test_a_snapshot_goes_on_to_the_same_bits():
 def test_what_is_wrong_is_named():
     sim = simulation()
     wrong = [
-        (lambda: sim.step(fnopt.Control(handles=[[0, 0, 0]])), "control: handles: expected 2, found 1"),
+        (lambda: sim.step(fnopt.Control(handles=[[0, 0, 0]])), "control: handles: expected 2, one for each handle of all cloths together, found 1"),
         (lambda: sim.step(fnopt.Control(handles=[[0, np.nan, 0], [0, 0, 0]])), r"handles\[0\]: expected finite"),
         (lambda: sim.step(fnopt.Control(wind=[1, 2])), "wind: expected an array"),
         (lambda: sim.step(fnopt.Control(wind=[[1, 2, 3]] * 2)), r"wind: expected an array \[1, 3\]"),
