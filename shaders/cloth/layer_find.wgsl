@@ -2,8 +2,9 @@
 // (`cpu::cloth::Layers`): once to count those of each patch, and once to write them.
 //
 // A pair is looked at where it first comes nearer than half its thickness, else where the way ends, by steps of its
-// distance over its speed: the plane between its nearest points there is its contact for the frame. Of neighbouring
-// triangles that are equally near one tells of the pair.
+// distance over its speed: the plane between its nearest points there is its contact for the frame, unless the parts begin
+// behind it: then they have come from the side, or out of layers that passed through each other. Of neighbouring triangles
+// that are equally near one tells of the pair.
 //
 // With h the thickness, m = 1 / sum w^2 / m_k over the free particles, g the gap before, and D_k their blocks of the
 // Hessian of the stretch, the stiffness is sum w^2 n . D_k n + m / min(g, gap predicted)^2; the load for friction as in
@@ -234,7 +235,8 @@ fn nearest_after(b: u32, parts: ptr<function, Parts>, face: u32, share: f32) -> 
     return nearest;
 }
 
-// Returns the contact of two parts, `before` apart at the start; one without gradient between handles.
+// Returns the contact of two parts, `before` apart at the start; one without gradient between handles, or where the parts
+// begin behind its plane.
 fn pair_of(b: u32, parts: ptr<function, Parts>, nearest: Nearest, before: f32) -> Pair {
     let h = cloths[b].layers.x;
     let n = params.rows * params.columns;
@@ -260,7 +262,7 @@ fn pair_of(b: u32, parts: ptr<function, Parts>, nearest: Nearest, before: f32) -
             elastic += weight * weight * elastic_along(b, p, normal);
         }
     }
-    if per_mass > 0.0 {
+    if per_mass > 0.0 && at_start >= -LEAST_GAP * h {
         let m = 1.0 / per_mass;
         let k = contact_stiffness(elastic, m, min(before, predicted), h);
         let pressed = contact_load(contact_stiffness(elastic, m, before, h), before, h);

@@ -67,7 +67,8 @@ impl<T: Real> Layers<T> {
     ///
     /// A pair is looked at where it first comes nearer than half its thickness on that way, else where the way ends: seen
     /// from there the direction between its nearest points is the plane's normal. Up to there the parts have not passed
-    /// through each other, however fast they are.
+    /// through each other, however fast they are. Their layers may have, nearby: then they meet from the wrong side, and would
+    /// hold together what other pairs part. So a pair that begins behind its plane is left out.
     pub fn find(start: &Approach<'_, T>, settings: SelfContact) -> Self {
         Search::new(start, settings, None).run(vec![true; start.grid.particles()])
     }
@@ -488,7 +489,7 @@ impl<'a, T: Real> Search<'a, T> {
         Some(Met { nearest, before })
     }
 
-    /// Returns the pair of two parts that meet; `None` between handles.
+    /// Returns the pair of two parts that meet; `None` between handles, and where they begin behind its plane.
     fn pair(&self, parts: Parts, Met { nearest, before }: Met) -> Option<Pair<T>> {
         let (grid, h) = (self.start.grid, self.settings.thickness);
         let (particles, weights, n) = (parts.particles(grid), nearest.weights, grid.particles());
@@ -507,7 +508,8 @@ impl<'a, T: Real> Search<'a, T> {
                 elastic += weight * weight * self.start.elastic_along(p, normal, self.elastic);
             }
         }
-        if per_mass <= 0.0 {
+        let begins = normal.dot(at_start);
+        if per_mass <= 0.0 || begins < -Contact::LEAST_GAP * h {
             return None;
         }
         let mass = per_mass.recip();
@@ -516,7 +518,7 @@ impl<'a, T: Real> Search<'a, T> {
         let stopped = mass * (h - predicted).max(0.0);
         let contact = Contact {
             friction: self.settings.friction * pressed.max(stopped),
-            ..Contact::new(normal, normal.dot(at_start), stiffness, h)
+            ..Contact::new(normal, begins, stiffness, h)
         };
         let single = |v: [f64; 4]| v.map(T::of);
         Some(Pair {
