@@ -35,9 +35,7 @@ fn contact_end(
     var y = before;
     for (var k = 0u; k < SLOTS; k++) {
         let one = contacts[(b * SLOTS + k) * n + p];
-        let slip = contact_slip(one, y);
-        let sticks = one.friction > 0.0 && contact_depth(one, y) > 0.0 && length(slip) < STICKING;
-        y += contact_way_out(one, y) - select(vec3f(), slip, sticks);
+        y += contact_way_out(one, y) + contact_slip_back(one, y);
     }
     let moved = y - before;
     for (var c = 0u; c < 3u; c++) {

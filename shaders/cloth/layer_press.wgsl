@@ -1,6 +1,7 @@
 // What each pair of parts of a cloth does at the current accelerations (`terms/contact`): the derivative of its energy with
-// respect to the relative displacement, and the energy. With PARTS instead how to leave what is nearer than LEAST_GAP of
-// the thickness, over the sum of the weights times what a force accelerates their particles by, and 1; zeros elsewhere.
+// respect to the relative displacement, and the energy. Instead of that where to move them, over the sum of the weights times
+// what a force accelerates their particles by, and 1; zeros where they may stay. With MOVES 1 they leave what is nearer than
+// LEAST_GAP of the thickness, with 2 those that stick take back their slip.
 //
 // marks: [B, n]
 // pair_ends: [B, buckets]
@@ -27,7 +28,7 @@ struct Params {
 @group(0) @binding(5) var<storage, read> given: array<f32>;
 @group(0) @binding(6) var<storage, read_write> presses: array<vec4f>;
 
-override PARTS: bool = false;
+override MOVES: u32 = 0;
 
 @compute @workgroup_size(64)
 fn layer_press(
@@ -42,9 +43,14 @@ fn layer_press(
         let pair = pairs[b * params.room + k];
         let y = across(b, pair);
         var press = vec4f();
-        if PARTS {
-            let out = contact_way_out(pair.contact, y);
-            if any(out != vec3f()) {
+        if MOVES != 0u {
+            var way = vec3f();
+            if MOVES == 1u {
+                way = contact_way_out(pair.contact, y);
+            } else {
+                way = contact_slip_back(pair.contact, y);
+            }
+            if any(way != vec3f()) {
                 var sum = 0.0;
                 for (var corner = 0u; corner < 4u; corner++) {
                     let p = pair.particles[corner];
@@ -52,7 +58,7 @@ fn layer_press(
                         sum += pair.weights[corner] * pair.weights[corner] * f32(n) / mass_of(marks[b * n + p]);
                     }
                 }
-                press = vec4f(out / sum, 1.0);
+                press = vec4f(way / sum, 1.0);
             }
         } else {
             press = vec4f(contact_gradient(pair.contact, y), contact_energy(pair.contact, y));

@@ -51,6 +51,13 @@ fn contact_slip(contact: Contact, y: vec3f) -> vec3f {
     return u - g * (dot(u, g) / max(dot(g, g), 1e-30));
 }
 
+// Returns how to take back the slip of parts that press on each other and stick; 0 where they do not.
+fn contact_slip_back(contact: Contact, y: vec3f) -> vec3f {
+    let slip = contact_slip(contact, y);
+    let sticks = contact.friction > 0.0 && contact_depth(contact, y) > 0.0 && length(slip) < STICKING;
+    return select(vec3f(), -slip, sticks);
+}
+
 // Returns the energy of barrier and friction.
 fn contact_energy(contact: Contact, y: vec3f) -> f32 {
     let z = contact_depth(contact, y);

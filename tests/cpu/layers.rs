@@ -422,8 +422,11 @@ fn layers_slide_on_each_other_as_friction_allows() {
         }
         let expected = gravity * cosine * (tangent - friction);
         if expected < 0.0 {
-            // It creeps, since friction is rounded off below this.
-            assert!(speeds[8].abs() < Contact::STICKING, "{friction}: {}", speeds[8]);
+            // Friction is rounded off, so a minimum lets the layer creep by this share of the speed at which it slides. Most of that
+            // is taken back.
+            let creep = tangent / friction * Contact::STICKING;
+            println!("{friction}: {} of {creep}", speeds[8]);
+            assert!(speeds[8].abs() < 0.2 * creep, "{friction}: {}", speeds[8]);
             continue;
         }
         // From where the layer lies at rest, to where what hangs over the border tells.

@@ -176,9 +176,11 @@ impl<T: Real> Contacts<T> {
         }
     }
 
-    /// Moves parts of the cloth away from each other likewise ([`Layers::part`]).
+    /// Takes back the slip of layers that stick ([`Layers::hold`]), then moves parts of the cloth away from each other
+    /// ([`Layers::part`]).
     pub fn part_layers(&self, a: &mut [T]) {
         if let Some(layers) = &self.layers {
+            layers.hold(a);
             layers.part(PARTINGS, a);
         }
     }
@@ -190,13 +192,9 @@ impl<T: Real> Contacts<T> {
         for contact in &self.found {
             let p = contact.particle;
             let y = at(v, n, p);
-            let slip = contact.touch.slip(y);
-            let sticks = contact.touch.friction > T::zero()
-                && contact.touch.depth(y) > T::zero()
-                && dot(slip, slip).sqrt() < T::of(terms::Contact::STICKING);
-            let back = if sticks { scaled(slip, -T::one()) } else { [T::zero(); 3] };
-            let out = contact.touch.way_out(bodies[contact.body].thickness, y).unwrap_or([T::zero(); 3]);
-            let correction = add(back, out);
+            let back = contact.touch.slip_back(y);
+            let out = contact.touch.way_out(bodies[contact.body].thickness, y);
+            let correction = [back, out].into_iter().flatten().fold([T::zero(); 3], add);
             for c in 0..3 {
                 x[c * n + p] = x[c * n + p] + correction[c];
                 v[c * n + p] = v[c * n + p] + correction[c];

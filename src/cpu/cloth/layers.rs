@@ -184,27 +184,23 @@ impl<T: Real> Layers<T> {
             if ways.is_empty() {
                 return pass > 0;
             }
-            let mut asked = vec![([T::zero(); 3], T::zero()); n];
-            for (pair, out) in ways {
-                let weighted = (0..4).map(|k| pair.weights[k] * pair.response[k]);
-                let share = weighted.fold(T::zero(), |sum, k| sum + k).recip();
-                for (p, response) in pair.particles.into_iter().zip(pair.response) {
-                    if response != T::zero() {
-                        let (sum, count) = &mut asked[p];
-                        *sum = add(*sum, scaled(out, response * share));
-                        *count = *count + T::one();
-                    }
-                }
-            }
-            for (p, (sum, count)) in
-                asked.into_iter().enumerate().filter(|(_, (_, count))| *count > T::zero())
-            {
-                for (c, out) in scaled(sum, count.recip()).into_iter().enumerate() {
-                    a[c * n + p] = a[c * n + p] + out;
-                }
-            }
+            move_by_means(ways, a);
         }
         passes > 0
+    }
+
+    /// Takes back the slip of parts that press on each other and stick where the accelerations `a` [3, H, W] lead, by adding to
+    /// `a`: each such pair asks for that, as in a pass of [`Layers::part`].
+    pub fn hold(&self, a: &mut [T]) {
+        let n = a.len() / 3;
+        let backs = self
+            .pairs
+            .iter()
+            .filter_map(|pair| pair.touch.slip_back(pair.reached(a, n)).map(|back| (pair, back)));
+        let backs: Vec<_> = backs.collect();
+        if !backs.is_empty() {
+            move_by_means(backs, a);
+        }
     }
 
     /// Returns what they do at the displacements `shift` [3, H, W].
@@ -528,6 +524,29 @@ impl<'a, T: Real> Search<'a, T> {
             base: across(&self.base).to_array().map(T::of),
             touch: Touch::new(contact),
         })
+    }
+}
+
+/// Adds to the accelerations `a` [3, H, W] what pairs ask their parts to move by relative to each other: a particle moves by the
+/// mean of what its pairs ask for.
+fn move_by_means<T: Real>(ways: Vec<(&Pair<T>, [T; 3])>, a: &mut [T]) {
+    let n = a.len() / 3;
+    let mut asked = vec![([T::zero(); 3], T::zero()); n];
+    for (pair, way) in ways {
+        let weighted = (0..4).map(|k| pair.weights[k] * pair.response[k]);
+        let share = weighted.fold(T::zero(), |sum, k| sum + k).recip();
+        for (p, response) in pair.particles.into_iter().zip(pair.response) {
+            if response != T::zero() {
+                let (sum, count) = &mut asked[p];
+                *sum = add(*sum, scaled(way, response * share));
+                *count = *count + T::one();
+            }
+        }
+    }
+    for (p, (sum, count)) in asked.into_iter().enumerate().filter(|(_, (_, count))| *count > T::zero()) {
+        for (c, way) in scaled(sum, count.recip()).into_iter().enumerate() {
+            a[c * n + p] = a[c * n + p] + way;
+        }
     }
 }
 

@@ -42,6 +42,16 @@ impl<T: Real> Touch<T> {
         sub(u, scaled(self.gradient, dot(u, self.gradient) / dot(self.gradient, self.gradient)))
     }
 
+    /// Returns how to take back the slip, from the displacement y, of parts that press on each other and stick; `None` where
+    /// they do not.
+    pub fn slip_back(&self, y: [T; 3]) -> Option<[T; 3]> {
+        let slip = self.slip(y);
+        let sticks = self.friction > T::zero()
+            && self.depth(y) > T::zero()
+            && dot(slip, slip).sqrt() < T::of(terms::Contact::STICKING);
+        sticks.then(|| scaled(slip, -T::one()))
+    }
+
     /// Returns the energy.
     pub fn energy(&self, y: [T; 3]) -> T {
         let depth = self.depth(y);

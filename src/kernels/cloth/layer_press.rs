@@ -16,6 +16,7 @@ pub(crate) const SOURCE: Source = Source {
 pub struct LayerPress {
     forces: Kernel,
     ways_out: Kernel,
+    slips_back: Kernel,
 }
 
 /// What a pair tells its particles.
@@ -25,13 +26,15 @@ pub enum Tells {
     Forces,
     /// How to leave what is too near.
     WaysOut,
+    /// How to take back the slip of those that stick.
+    SlipsBack,
 }
 
 impl LayerPress {
     /// Builds the kernels.
     pub fn new(context: &Context) -> Result<Self> {
-        let kernel = |parts: f64| Kernel::new(context, &SOURCE, 0, &[("PARTS", parts)]);
-        Ok(Self { forces: kernel(0.0)?, ways_out: kernel(1.0)? })
+        let kernel = |moves: f64| Kernel::new(context, &SOURCE, 0, &[("MOVES", moves)]);
+        Ok(Self { forces: kernel(0.0)?, ways_out: kernel(1.0)?, slips_back: kernel(2.0)? })
     }
 
     /// Sets the `presses` of `pairs` at `iterate.a`.
@@ -40,6 +43,7 @@ impl LayerPress {
         let kernel = match tells {
             Tells::Forces => &self.forces,
             Tells::WaysOut => &self.ways_out,
+            Tells::SlipsBack => &self.slips_back,
         };
         let (given, ..) = &trial.iterate.given();
         let tensors =

@@ -187,9 +187,12 @@ impl Layers {
         self.curvature.push(schedule, trial, &self.pairs, tensors);
     }
 
-    /// Appends what parts layers at the end of a frame that its accelerations lead too near each other: first those that were
-    /// found at its start, then those that were missed because particles left their way. Changes `iterate.a`.
+    /// Appends what takes back the slip of layers that stick, and parts those at the end of a frame that its accelerations lead too
+    /// near each other: first those that were found at its start, then those that were missed because particles left their way.
+    /// Changes `iterate.a`.
     pub fn part(&self, schedule: &mut Schedule, trial: Trial<'_>) {
+        self.press.push(schedule, trial, &self.pairs, Tells::SlipsBack);
+        self.part.push(schedule, trial, &self.pairs);
         self.part_pairs(schedule, trial, &self.pairs);
         for missed in &self.missed {
             self.search(schedule, trial, Way::Taken, missed);

@@ -171,6 +171,17 @@ fn layers_are_parted_alike() {
     }
 }
 
+/// Layers at rest that slip by less than friction is rounded off at: both devices take back as much of that.
+#[test]
+fn layers_that_stick_are_held_alike() {
+    let _turn = device();
+    let mut case = touching(Grid { h: 31, w: 33 });
+    case.1.v.fill(0.0);
+    let a: Vec<f32> = noise(case.1.x.len(), 19).iter().map(|a| 2e-4 * a).collect();
+    let moved = compare("layers that stick", &case, &a, 1e-5);
+    assert!(moved[0] > 1e-4 && moved[0] < 1e-3 && moved[2] == 0.0 && moved[3] == 0.0, "{moved:?}");
+}
+
 /// Both devices find the same pairs, but for those on whose nearest points rounding decides.
 #[test]
 fn the_same_pairs_are_found() {
