@@ -35,7 +35,7 @@ fn contact_end(
     var y = before;
     for (var k = 0u; k < SLOTS; k++) {
         let one = contacts[(b * SLOTS + k) * n + p];
-        y += contact_way_out(one, y) + contact_slip_back(one, y);
+        y += contact_slip_back(one, y) + contact_way_out(one, y);
     }
     let moved = y - before;
     for (var c = 0u; c < 3u; c++) {
