@@ -53,19 +53,26 @@ fn found(grid: Grid, x: &[f64], v: &[f64]) -> Layers<f64> {
     found_of((grid, None), x, v)
 }
 
-/// Returns what a search at the end of a frame finds, where accelerations have led.
-fn missed(grid: Grid, x: &[f64], v: &[f64], a: &[f64]) -> Layers<f64> {
-    let cloth = Cloth { self_contact: Some(SETTINGS), ..Cloth::default() };
-    let marks = Model { grid, cloths: vec![cloth.clone()] }.marks();
-    let start = Approach { grid, cloth: &cloth, sweeps: &[], x, v, marks: &marks, handles: &[] };
-    Layers::find_missed(&start, SETTINGS, a)
+/// As [`found`], of a cloth that may not be a full rectangle.
+fn found_of(shape: (Grid, Option<Mask>), x: &[f64], v: &[f64]) -> Layers<f64> {
+    in_frame(shape, x, v, |start| Layers::find(start, SETTINGS))
 }
 
-/// As [`found`], of a cloth that may not be a full rectangle.
-fn found_of((grid, mask): (Grid, Option<Mask>), x: &[f64], v: &[f64]) -> Layers<f64> {
+/// Returns what a search at the end of a frame finds, where accelerations have led.
+fn missed(grid: Grid, x: &[f64], v: &[f64], a: &[f64]) -> Layers<f64> {
+    in_frame((grid, None), x, v, |start| Layers::find_missed(start, SETTINGS, a))
+}
+
+/// Runs a search in the frame that begins with these places and velocities.
+fn in_frame(
+    (grid, mask): (Grid, Option<Mask>),
+    x: &[f64],
+    v: &[f64],
+    search: impl Fn(&Approach<'_, f64>) -> Layers<f64>,
+) -> Layers<f64> {
     let cloth = Cloth { self_contact: Some(SETTINGS), mask, ..Cloth::default() };
     let marks = Model { grid, cloths: vec![cloth.clone()] }.marks();
-    Layers::find(&Approach { grid, cloth: &cloth, sweeps: &[], x, v, marks: &marks, handles: &[] }, SETTINGS)
+    search(&Approach { grid, cloth: &cloth, sweeps: &[], x, v, marks: &marks, handles: &[] })
 }
 
 /// The edges of a cloth: the sides of its triangles, and edges of the grid between two of its particles.
@@ -252,7 +259,7 @@ fn forces_sum_to_zero() {
 }
 
 #[test]
-fn parting_moves_layers_apart_and_keeps_the_momentum() {
+fn parting_moves_layers_apart() {
     let grid = Grid { h: 10, w: 12 };
     let n = grid.particles();
     // The upper half would end up below the lower one; if it moves sideways, too, then parts come near each other that have
