@@ -32,6 +32,9 @@ done
 
 if command -v dotnet >/dev/null; then
     LD_LIBRARY_PATH="$scratch" dotnet run --project examples/csharp
+elif command -v mcs >/dev/null && command -v mono >/dev/null; then
+    mcs -langversion:latest -warnaserror -out:"$scratch/hang.exe" examples/csharp/Hang.cs
+    LD_LIBRARY_PATH="$scratch" DYLD_LIBRARY_PATH="$scratch" mono "$scratch/hang.exe"
 else
-    echo "skipped: dotnet is missing"
+    echo "skipped: dotnet, or mcs and mono, are missing"
 fi
