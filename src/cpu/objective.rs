@@ -4,8 +4,8 @@
 use super::Real;
 use super::cloth::{
     Approach, Contacts, Couples, CurvatureRows, Elements, Frame, GradientRows, Layers, LocalModel, NearPairs,
-    Trial, add_wind, end_frame, energy, gradient, local_model, masses, repulsion, repulsion_curvature,
-    shifts, stretch,
+    SheetAxes, Trial, add_wind, end_frame, energy, gradient, local_model, masses, repulsion,
+    repulsion_curvature, shifts, stretch,
 };
 use super::optim::norm;
 use crate::cloth::{BodyStats, Control, EnergyTerms, LayerStats, Mark, Model, State, Sweep};
@@ -339,6 +339,11 @@ impl<T: Real> Objective<T> {
         terms.contact = self.trial.contacts[b].energy();
         terms.bend += self.trial.couples[b].energy(&trial);
         terms
+    }
+
+    /// Sets the `axes` [16, H, W] of cloth `b` at the current trial.
+    pub fn sheet_axes(&self, state: &State<T>, b: usize, (sheet, axes): (&mut SheetAxes<T>, &mut [T])) {
+        sheet.compute(&self.trial.cloth(state, b), axes);
     }
 
     /// Shortens the axes [16, H, W] of cloth `b` where contacts hold its particles at the current trial.

@@ -3,8 +3,8 @@
 use super::FreeEdges;
 use crate::Frame;
 use crate::cloth::modes::SheetConstants;
-use crate::cloth::{Control, Grid, Mark, Material, Model, State};
-use crate::cpu::cloth::{AXES, sheet_axes};
+use crate::cloth::{Control, Model, State};
+use crate::cpu::cloth::{AXES, SheetAxes};
 use crate::cpu::optim::{Cosines, InverseHessian, RestHessian, SheetHessian};
 use crate::cpu::{Objective, free_fall};
 use crate::scene::{Script, Setup};
@@ -189,20 +189,18 @@ fn model_of(script: &Script<'_>) -> Model {
 
 /// Estimates the energy gap of a frame without its minimum.
 struct Estimate {
-    grid: Grid,
-    /// Shape [H, W].
-    marks: Vec<Mark>,
     objective: Objective<f64>,
     in_space: RestHessian<f64>,
     in_sheet: SheetHessian<f64>,
+    sheet: SheetAxes<f64>,
     /// Shape [16, H, W].
     axes: Vec<f64>,
     /// Shape [3, H, W].
     still: Vec<f64>,
     /// The decrease of the energy in a frame of free fall.
     of_fall: f64,
-    material: Material,
-    damping: f64,
+    /// Coefficient of the stretch.
+    stretch: f64,
 }
 
 impl Estimate {
@@ -211,16 +209,14 @@ impl Estimate {
         let (cloth, n) = (&model.cloths[0], grid.particles());
         let cosines = Arc::new(Cosines::new(grid));
         Self {
-            grid,
-            marks: model.marks(),
             objective: Objective::new(model),
             in_space: RestHessian::with(&cosines, cloth),
             in_sheet: SheetHessian::new(&cosines, cloth, &SheetConstants::FLAT),
+            sheet: SheetAxes::new(grid, &model.marks()),
             axes: vec![0.0; AXES * n],
             still: vec![0.0; 3 * n],
             of_fall: free_fall(model),
-            material: cloth.material,
-            damping: cloth.damping,
+            stretch: cloth.material.stretch,
         }
     }
 
@@ -229,19 +225,13 @@ impl Estimate {
         self.objective.begin_frame(before, control);
         self.objective.set_accelerations(&self.still);
         self.objective.evaluate(before, control);
-        sheet_axes(
-            (self.grid, &self.marks),
-            (self.material, self.damping),
-            &before.x,
-            &before.v,
-            &mut self.axes,
-        );
+        self.objective.sheet_axes(before, 0, (&mut self.sheet, &mut self.axes));
         let all = self.decrease();
         self.objective.gradient_at_end(before, after, control);
         let left = self.decrease();
         // What the rounding of positions makes of the stiffest term.
         let extent = before.x.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
-        let rounding = self.material.stretch * (f64::from(f32::EPSILON) * extent).powi(2);
+        let rounding = self.stretch * (f64::from(f32::EPSILON) * extent).powi(2);
         left / all.max(self.of_fall).max(rounding)
     }
 

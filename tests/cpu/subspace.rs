@@ -3,8 +3,8 @@
 use crate::marks_of;
 use crate::noise::noise;
 use fnopt::cloth::modes::{SheetConstants, TENSION};
-use fnopt::cloth::{Cloth, Control, Grid, Material, Model, Repulsion, State, Weave};
-use fnopt::cpu::cloth::{AXES, CurvatureRows, LocalModel, sheet_axes};
+use fnopt::cloth::{Cloth, Control, Grid, Mark, Material, Model, Repulsion, State, Weave};
+use fnopt::cpu::cloth::{AXES, CurvatureRows, Elements, LocalModel, SheetAxes, Trial, masses};
 use fnopt::cpu::optim::{Cosines, InverseHessian, RestHessian, SheetHessian, SheetSteps, best_step};
 use fnopt::cpu::{Objective, Real, Solver};
 use fnopt::network::Weights;
@@ -234,6 +234,34 @@ fn best_steps_solve_the_model() {
     assert_eq!(best_step(&LocalModel::default(), 4).factors, [0.0; 4]);
 }
 
+/// Returns the axes of a sheet of this material and damping, shape [16, H, W].
+fn axes_of(
+    (grid, marks): (Grid, &[Mark]),
+    (material, damping): (Material, f64),
+    x: &[f64],
+    shift: &[f64],
+) -> Vec<f64> {
+    let n = grid.particles();
+    let (zeros, masses) = (vec![0.0; 3 * n], masses(grid, marks));
+    let elements = Elements::of(grid, marks);
+    let trial = Trial {
+        grid,
+        material,
+        damping,
+        x,
+        shift,
+        a: &zeros,
+        f: &zeros,
+        marks,
+        masses: &masses,
+        elements: elements.as_ref(),
+        near: None,
+    };
+    let mut axes = vec![f64::NAN; AXES * n];
+    SheetAxes::new(grid, marks).compute(&trial, &mut axes);
+    axes
+}
+
 #[test]
 fn axes_are_orthogonal_and_turn_with_the_sheet() {
     let grid = Grid { h: 9, w: 12 };
@@ -253,11 +281,8 @@ fn axes_are_orthogonal_and_turn_with_the_sheet() {
         }
         out
     };
-    let axes = |x: &[f64], shift: &[f64]| {
-        let mut axes = vec![f64::NAN; AXES * n];
-        sheet_axes((grid, &marks_of(grid, &[])), (Material::PAPER, 0.0), x, shift, &mut axes);
-        axes
-    };
+    let marks = marks_of(grid, &[]);
+    let axes = |x: &[f64], shift: &[f64]| axes_of((grid, &marks), (Material::PAPER, 0.0), x, shift);
     let (own, other) = (axes(&x, &shift), axes(&turned(&x), &turned(&shift)));
     // Three axes, then the factor, then two edges.
     for first in [0, 3, 6, 10, 13] {
@@ -301,9 +326,8 @@ fn axes_are_shorter_next_to_handles_and_across_an_arch() {
         (x[n + p], x[2 * n + p]) = (y, z);
     }
     let handle = 4 * w + 5;
-    let mut axes = vec![f64::NAN; AXES * n];
     let marks = marks_of(grid, &[handle]);
-    sheet_axes((grid, &marks), (material, 0.5), &x, &vec![0.0; 3 * n], &mut axes);
+    let axes = axes_of((grid, &marks), (material, 0.5), &x, &vec![0.0; 3 * n]);
     let length =
         |p: usize, first: usize| (0..3).map(|c| axes[(first + c) * n + p].powi(2)).sum::<f64>().sqrt();
     // k is 1000 along the height. The first row has no edge before it, and is no arch.
@@ -353,9 +377,8 @@ fn inverses_of_a_sheet_are_symmetric_and_positive() {
         let cloth = Cloth { handles: vec![3, n - 2], ..Cloth::default() };
         let mut x = State::<f64>::rest(grid, 1).x;
         x.iter_mut().zip(noise(3 * n, 7)).for_each(|(x, d)| *x += 0.3 * d);
-        let mut axes = vec![0.0; AXES * n];
         let marks = marks_of(grid, &cloth.handles);
-        sheet_axes((grid, &marks), (cloth.material, 0.0), &x, &vec![0.0; 3 * n], &mut axes);
+        let axes = axes_of((grid, &marks), (cloth.material, 0.0), &x, &vec![0.0; 3 * n]);
         let (u, w) = (noise(3 * n, 8), noise(3 * n, 9));
         let both = |field: &[f64]| {
             let [in_space, _] = steps(grid, &cloth, &axes, field);
@@ -376,9 +399,8 @@ fn steps_are_known_for_the_waves_of_a_flat_sheet() {
     let grid = Grid { h: 16, w: 12 };
     let n = grid.particles();
     let cloth = Cloth::default();
-    let mut axes = vec![0.0; AXES * n];
     let at_rest = State::<f64>::rest(grid, 1).x;
-    sheet_axes((grid, &marks_of(grid, &[])), (cloth.material, 0.0), &at_rest, &vec![0.0; 3 * n], &mut axes);
+    let axes = axes_of((grid, &marks_of(grid, &[])), (cloth.material, 0.0), &at_rest, &vec![0.0; 3 * n]);
     let wave = |k: usize, i: usize| (std::f64::consts::PI * (k * (2 * i + 1)) as f64 / 32.0).cos();
     let field = |component: usize| {
         let mut field = vec![0.0; 3 * n];
@@ -435,9 +457,8 @@ fn a_step_across_an_arch_hardly_stretches_it() {
         let turn = (p / w) as f64 / radius;
         (x[n + p], x[2 * n + p]) = (radius * turn.sin(), radius * turn.cos());
     }
-    let mut axes = vec![0.0; AXES * n];
     let marks = marks_of(grid, &cloth.handles);
-    sheet_axes((grid, &marks), (cloth.material, 0.0), &x, &vec![0.0; 3 * n], &mut axes);
+    let axes = axes_of((grid, &marks), (cloth.material, 0.0), &x, &vec![0.0; 3 * n]);
     // A push from one side, and what the stretch makes of a step.
     let mut forces = vec![0.0; 3 * n];
     forces[2 * n..].fill(1.0);

@@ -134,7 +134,7 @@ impl<T: Real> Contacts<T> {
         curvature
     }
 
-    /// Shortens the axes of the sheet, the first nine of `axes` [16, H, W] ([`sheet_axes`](super::sheet_axes)), at the particles that
+    /// Shortens the axes of the sheet, the first nine of `axes` [16, H, W] ([`SheetAxes`](super::SheetAxes)), at the particles that
     /// contacts hold ([`HOLDING`]).
     pub fn shorten_axes(&self, axes: &mut [T]) {
         let n = axes.len() / AXES;

@@ -18,15 +18,12 @@ pub struct Frame<'a, T> {
 /// Computes the displacements at a trial acceleration: `shift = v + a`, or for a handle `target - x`; 0 outside of the cloth.
 pub fn shifts<T: Real>(frame: Frame<'_, T>, x: &[T], v: &[T], shift: &mut [T]) {
     let n = frame.marks.len();
-    for (component, shift) in shift.chunks_exact_mut(n).enumerate() {
-        let at = component * n..(component + 1) * n;
-        let (x, v, a) = (&x[at.clone()], &v[at.clone()], &frame.a[at]);
-        for p in 0..n {
-            shift[p] = match frame.marks[p].role() {
-                Role::Free => v[p] + a[p],
-                Role::Handle(k) => frame.handles[k][component] - x[p],
-                Role::Outside => T::zero(),
-            };
+    shift.iter_mut().zip(v).zip(frame.a).for_each(|((shift, &v), &a)| *shift = v + a);
+    for (p, mark) in frame.marks.iter().enumerate() {
+        match mark.role() {
+            Role::Free => {}
+            Role::Handle(k) => (0..3).for_each(|c| shift[c * n + p] = frame.handles[k][c] - x[c * n + p]),
+            Role::Outside => (0..3).for_each(|c| shift[c * n + p] = T::zero()),
         }
     }
 }

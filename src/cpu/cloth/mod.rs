@@ -49,7 +49,7 @@ pub(super) use particles::add_own_block;
 pub use particles::masses;
 pub use plain::{PlainTotal, plain_total};
 pub use repulsion::{RepellingPair, repelling_pairs, repulsion, repulsion_curvature};
-pub use sheet_axes::{AXES, sheet_axes};
+pub use sheet_axes::{AXES, SheetAxes};
 pub use stretch::stretch;
 pub use vertices::vertices;
 pub use wind::add_wind;

@@ -4,6 +4,7 @@ mod adam;
 mod extrapolate;
 mod gd;
 mod lbfgs;
+mod passes;
 mod rest_hessian;
 mod sheet_hessian;
 mod subspace;

@@ -1,6 +1,7 @@
 //! The Hessian of a flat sheet's energy, inverted by a cosine transform or factored: the starting point of
 //! quasi-Newton methods.
 
+use super::passes::Pass;
 use crate::cloth::modes::{Component, SheetConstants, cosine};
 use crate::cloth::{Cloth, Grid};
 use crate::cpu::Real;
@@ -10,6 +11,7 @@ use faer::linalg::solvers::Solve;
 use faer::sparse::linalg::solvers::Llt;
 use faer::sparse::{SparseColMat, Triplet};
 use faer::{MatMut, Side};
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -126,13 +128,13 @@ impl<T: Real> Cosines<T> {
 
     /// Transforms a field [H, W], multiplies it by `inverse` ([`Cosines::inverses`]) and transforms it back.
     pub(super) fn apply(&self, field: &mut [T], inverse: &[T], [a, b]: &mut [Vec<T>; 2]) {
-        self.fold(field, a);
+        Arch::new().dispatch(Fold { cosines: self, field, to: a });
         self.along(b, a, false);
         self.across(a, b, &self.columns_transposed);
-        a.iter_mut().zip(inverse).for_each(|(z, &inverse)| *z = *z * inverse);
+        Pass::Multiply(a, inverse).run();
         self.across(b, a, &self.columns);
         self.along(a, b, true);
-        self.unfold(a, field);
+        Arch::new().dispatch(Unfold { cosines: self, from: a, field });
     }
 
     /// Transforms along the height, or back.
@@ -159,60 +161,76 @@ impl<T: Real> Cosines<T> {
             product(target, &[Term::new((&from[first..], stride), (&tables[odd], columns), halves(w)[odd])]);
         }
     }
+}
 
-    /// Takes the sums and the differences of what is as far from either end, along both axes, from `field` [H, W].
-    fn fold(&self, field: &[T], to: &mut [T]) {
-        let (stride, Grid { h, w }) = (self.stride(), self.grid);
-        let [odd_rows, pairs] = halves(h);
-        let mut set = |k: usize, rows: [usize; 2], of: Of| {
-            let (even, odd) = to[k * stride..][..stride].split_at_mut(self.widths[0]);
-            let rows = rows.map(|i| &field[i * w..][..w]);
-            match of {
-                Of::Sums => fold_row([even, odd], rows, |a, b| a + b),
-                Of::Differences => fold_row([even, odd], rows, |a, b| a - b),
-                Of::Middle => fold_row([even, odd], rows, |a, _| a),
-            }
-        };
-        for i in 0..pairs {
-            set(i, [i, h - 1 - i], Of::Sums);
-            set(odd_rows + i, [i, h - 1 - i], Of::Differences);
-        }
-        (pairs..h - pairs).for_each(|i| set(i, [i; 2], Of::Middle));
-    }
+/// Takes the sums and the differences of what is as far from either end, along both axes, from `field` [H, W].
+struct Fold<'a, T> {
+    cosines: &'a Cosines<T>,
+    field: &'a [T],
+    to: &'a mut [T],
+}
 
-    /// Sets `field` [H, W] to the sums, and from the other ends the differences, of its even and odd parts in memory: twice the inverse of
-    /// [`Cosines::fold`] along each axis.
-    fn unfold(&self, from: &[T], field: &mut [T]) {
-        let (stride, Grid { h, w }) = (self.stride(), self.grid);
-        let [odd_rows, pairs] = halves(h);
-        let mut set = |i: usize, rows: [usize; 2], of: Of| {
-            let parts = rows.map(|k| from[k * stride..][..stride].split_at(self.widths[0]));
-            let parts = [parts.map(|p| p.0), parts.map(|p| p.1)];
-            let row = &mut field[i * w..][..w];
-            match of {
-                Of::Sums => unfold_row(row, parts, |a, b| a + b),
-                Of::Differences => unfold_row(row, parts, |a, b| a - b),
-                Of::Middle => unfold_row(row, parts, |a, _| a),
+impl<T: Real> WithSimd for Fold<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _simd: S) {
+        let Self { cosines, field, to } = self;
+        let (stride, Grid { h, w }) = (cosines.stride(), cosines.grid);
+        let [evens, pairs] = halves(h);
+        for k in 0..h {
+            let i = if k < evens { k } else { k - evens };
+            let rows = [&field[i * w..][..w], &field[(h - 1 - i) * w..][..w]];
+            let (even, odd) = to[k * stride..][..stride].split_at_mut(cosines.widths[0]);
+            if k >= evens {
+                fold_row([even, odd], rows, |a, b| a - b);
+            } else if k < pairs {
+                fold_row([even, odd], rows, |a, b| a + b);
+            } else {
+                // The row in the middle of a long axis, and each of a short one, stands alone.
+                fold_row([even, odd], rows, |a, _| a);
             }
-        };
-        for i in 0..pairs {
-            set(i, [i, odd_rows + i], Of::Sums);
-            set(h - 1 - i, [i, odd_rows + i], Of::Differences);
         }
-        (pairs..h - pairs).for_each(|i| set(i, [i; 2], Of::Middle));
     }
 }
 
-/// What is taken of two rows. The one in the middle of a long axis, and all of a short one, stand alone.
-#[derive(Clone, Copy)]
-enum Of {
-    Sums,
-    Differences,
-    Middle,
+/// Sets `field` [H, W] to the sums, and from the other ends the differences, of its even and odd parts in memory: twice the inverse of
+/// [`Fold`] along each axis.
+struct Unfold<'a, T> {
+    cosines: &'a Cosines<T>,
+    from: &'a [T],
+    field: &'a mut [T],
+}
+
+impl<T: Real> WithSimd for Unfold<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _simd: S) {
+        let Self { cosines, from, field } = self;
+        let (stride, Grid { h, w }) = (cosines.stride(), cosines.grid);
+        let [evens, pairs] = halves(h);
+        for i in 0..h {
+            let k = i.min(h - 1 - i);
+            // Without pairs, every row stands alone.
+            let (even, odd) = if pairs == 0 { (i, i) } else { (k, (evens + k).min(h - 1)) };
+            let parts = [even, odd].map(|k| from[k * stride..][..stride].split_at(cosines.widths[0]));
+            let parts = [parts.map(|p| p.0), parts.map(|p| p.1)];
+            let row = &mut field[i * w..][..w];
+            if i < pairs {
+                unfold_row(row, parts, |a, b| a + b);
+            } else if i + pairs >= h {
+                unfold_row(row, parts, |a, b| a - b);
+            } else {
+                unfold_row(row, parts, |a, _| a);
+            }
+        }
+    }
 }
 
 /// Sets the part `to` of a row in memory to the sums of the values at both ends of it, and `differences` to their differences. The values
 /// are `of` those of two rows.
+#[inline(always)]
 fn fold_row<T: Real>([to, differences]: [&mut [T]; 2], [one, other]: [&[T]; 2], of: impl Fn(T, T) -> T) {
     let (w, pairs) = (one.len(), halves(one.len())[1]);
     let (to, middle) = to.split_at_mut(pairs);
@@ -229,6 +247,7 @@ fn fold_row<T: Real>([to, differences]: [&mut [T]; 2], [one, other]: [&[T]; 2], 
 }
 
 /// Sets a row to the sums of an even and an odd part, and from its other end to their differences. The parts are `of` those of two rows.
+#[inline(always)]
 fn unfold_row<T: Real>(to: &mut [T], [even, odd]: [[&[T]; 2]; 2], of: impl Fn(T, T) -> T) {
     let (w, pairs) = (to.len(), halves(to.len())[1]);
     let (begin, end) = to.split_at_mut(pairs);

@@ -1,5 +1,6 @@
 //! The inverse Hessian of a sheet that is not flat, and the steps that it takes.
 
+use super::passes::Pass;
 use super::rest_hessian::{Cosines, Scratch, hold};
 use crate::cloth::Cloth;
 use crate::cloth::modes::{Component, Reactions, SheetConstants};
@@ -8,14 +9,12 @@ use rayon::prelude::*;
 use std::sync::Arc;
 
 /// The inverse Hessian of a sheet that is not flat, approximately, in the axes of the world and in the sheet's own
-/// ([`sheet_axes`]). Neither serves alone: along its surface a sheet is a thousand times as stiff as across it, and its inertia is
+/// ([`SheetAxes`](crate::cpu::cloth::SheetAxes)). Neither serves alone: along its surface a sheet is a thousand times as stiff as across it, and its inertia is
 /// the same in all directions, however it is bent.
 ///
 /// In space it is `P S C^T diag(1 / lambda) C S P`, as in [`RestHessian`](super::RestHessian) but for S, which multiplies each particle by its factor,
 /// and for a larger inertia in lambda. In the sheet it is `P A C^T diag(1 / lambda) C A^T P`, where the columns of A are the axes of
 /// each particle, and lambda differs from one to the next.
-///
-/// [`sheet_axes`]: crate::cpu::cloth::sheet_axes
 pub struct SheetHessian<T> {
     cosines: Arc<Cosines<T>>,
     /// 1 / lambda of each [`Component`], shape [H, stride].
@@ -40,10 +39,10 @@ pub struct SheetSteps<T> {
     parts: Vec<T>,
 }
 
-/// What `sheet_axes` says of each particle, shape [n] each.
+/// What [`SheetAxes`](crate::cpu::cloth::SheetAxes) says of each particle, shape [n] each.
 struct Axes<'a, T> {
     /// The components of t_1, t_2 and n.
-    axes: [&'a [T]; 9],
+    axes: [[&'a [T]; 3]; 3],
     near: &'a [T],
     /// The components of the edges down and to the right.
     edges: [[&'a [T]; 3]; 2],
@@ -52,8 +51,8 @@ struct Axes<'a, T> {
 impl<'a, T> Axes<'a, T> {
     fn new(axes: &'a [T], n: usize) -> Self {
         let of = |c: usize| &axes[c * n..][..n];
-        let edge = |first: usize| std::array::from_fn(|c| of(first + c));
-        Self { axes: std::array::from_fn(of), near: of(9), edges: [edge(10), edge(13)] }
+        let vector = |first: usize| std::array::from_fn(|c| of(first + c));
+        Self { axes: [0, 3, 6].map(vector), near: of(9), edges: [10, 13].map(vector) }
     }
 }
 
@@ -80,8 +79,7 @@ impl<T: Real> SheetHessian<T> {
         let a = &axes.axes;
         for p in 0..n {
             let v = [x[p], y[p], z[p]];
-            let along = |k: usize| a[k][p] * v[0] + a[k + 1][p] * v[1] + a[k + 2][p] * v[2];
-            [x[p], y[p], z[p]] = [along(0), along(3), along(6)];
+            [x[p], y[p], z[p]] = a.map(|axis| axis[0][p] * v[0] + axis[1][p] * v[1] + axis[2][p] * v[2]);
         }
         let components = [x, y, z].into_par_iter().zip(scratch).zip(&inverses[1..]);
         components.for_each(|((component, scratch), inverse)| cosines.apply(component, inverse, scratch));
@@ -89,7 +87,7 @@ impl<T: Real> SheetHessian<T> {
         let (y, z) = rest.split_at_mut(n);
         for p in 0..n {
             let v = [x[p], y[p], z[p]];
-            let of = |c: usize| a[c][p] * v[0] + a[3 + c][p] * v[1] + a[6 + c][p] * v[2];
+            let of = |c: usize| a[0][c][p] * v[0] + a[1][c][p] * v[1] + a[2][c][p] * v[2];
             [x[p], y[p], z[p]] = [of(0), of(1), of(2)];
         }
         hold(held, direction);
@@ -113,15 +111,12 @@ impl<T: Real> SheetSteps<T> {
             self;
         let n = cosines.grid().particles();
         let near = Axes::new(axes, n).near;
-        let multiply = |component: &mut [T]| {
-            component.iter_mut().zip(near).for_each(|(v, &factor)| *v = *v * factor);
-        };
         hold(held, direction);
         direction.par_chunks_exact_mut(n).zip(scratch).for_each(|(component, scratch)| {
-            multiply(component);
+            Pass::Multiply(component, near).run();
             cosines.apply(component, &inverses[Component::Space as usize], scratch);
             react((handles, reactions), Component::Space, component);
-            multiply(component);
+            Pass::Multiply(component, near).run();
         });
         hold(held, direction);
     }
@@ -138,34 +133,19 @@ impl<T: Real> SheetSteps<T> {
         hold(held, direction);
         rest.copy_from_slice(direction);
         // Across.
-        project(rest, &axes[6..], one);
+        Pass::Project(one, axes[2], rest).run();
         cosines.apply(one, &inverses[Component::Normal as usize], &mut scratch[0]);
         react(reactions, Component::Normal, one);
-        for (to, axis) in direction.chunks_exact_mut(n).zip(&axes[6..]) {
-            to.iter_mut().zip(&*one).zip(*axis).for_each(|((to, &step), &axis)| *to = step * axis);
-        }
+        Pass::Along(direction, axes[2], one).run();
         hold(held, direction);
         // What the stretch answers.
-        for (edge, next) in edges.iter().zip([w, 1]) {
-            let answer = &mut one[..n - next];
-            answer.fill(T::zero());
-            for (step, edge) in direction.chunks_exact(n).zip(edge) {
-                for (((answer, &edge), &from), &to) in
-                    answer.iter_mut().zip(*edge).zip(step).zip(&step[next..])
-                {
-                    *answer = *answer + edge * (to - from);
-                }
-            }
-            for (rest, edge) in rest.chunks_exact_mut(n).zip(edge) {
-                let pulls = answer.iter().zip(*edge);
-                rest.iter_mut().zip(pulls.clone()).for_each(|(rest, (&a, &edge))| *rest = *rest + a * edge);
-                rest[next..].iter_mut().zip(pulls).for_each(|(rest, (&a, &edge))| *rest = *rest - a * edge);
-            }
+        for (edges, next) in edges.into_iter().zip([w, 1]) {
+            Pass::Answer { forces: rest, edges, next, step: direction, memory: one }.run();
         }
         hold(held, rest);
         // Along.
-        project(rest, &axes[..3], one);
-        project(rest, &axes[3..6], other);
+        Pass::Project(one, axes[0], rest).run();
+        Pass::Project(other, axes[1], rest).run();
         let tangents = [Component::FirstTangent, Component::SecondTangent];
         [&mut *one, &mut *other].into_par_iter().zip(tangents).zip(&mut scratch[..2]).for_each(
             |((field, component), scratch)| {
@@ -173,20 +153,9 @@ impl<T: Real> SheetSteps<T> {
                 react(reactions, component, field);
             },
         );
-        for (c, to) in direction.chunks_exact_mut(n).enumerate() {
-            let along = one.iter().zip(axes[c]).zip(other.iter().zip(axes[3 + c]));
-            let along = along.map(|((&one, &first), (&other, &second))| one * first + other * second);
-            to.iter_mut().zip(along).for_each(|(to, along)| *to = *to + along);
-        }
+        Pass::AddAlong(direction, axes[0], one).run();
+        Pass::AddAlong(direction, axes[1], other).run();
         hold(held, direction);
-    }
-}
-
-/// Sets `to` [n] to the products of the vectors of a field [3, n] with an axis.
-fn project<T: Real>(field: &[T], axis: &[&[T]], to: &mut [T]) {
-    to.fill(T::zero());
-    for (field, axis) in field.chunks_exact(to.len()).zip(axis) {
-        to.iter_mut().zip(field).zip(*axis).for_each(|((to, &v), &axis)| *to = *to + v * axis);
     }
 }
 
@@ -197,6 +166,6 @@ fn react<T: Real>((handles, reactions): (&[usize], &[T]), component: Component, 
         // The fields of other handles are 0 here.
         let moved = step[handle];
         let field = &reactions[(4 * k + component as usize) * n..][..n];
-        step.iter_mut().zip(field).for_each(|(step, &field)| *step = *step - moved * field);
+        Pass::Add(step, -moved, field).run();
     }
 }

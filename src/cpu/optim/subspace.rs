@@ -1,11 +1,12 @@
 //! The best step among a few directions: the minimum of the energy's local quadratic model over them.
 
+use super::passes::Pass;
 use super::rest_hessian::{Cosines, hold};
 use super::{Extrapolation, SheetSteps, Update, best_start};
 use crate::Result;
 use crate::cloth::modes::SheetConstants;
-use crate::cloth::{Cloth, Control, EnergyTerms, Model, State};
-use crate::cpu::cloth::{AXES, CurvatureRows, LocalModel, sheet_axes};
+use crate::cloth::{Cloth, Control, EnergyTerms, Mark, Model, State};
+use crate::cpu::cloth::{AXES, CurvatureRows, LocalModel, SheetAxes};
 use crate::cpu::{Objective, Real};
 use crate::settings::LEARNED_ITERATIONS;
 use crate::sim::{Direction, MAX_DIRECTIONS, Optimizer, StepCounts};
@@ -46,6 +47,7 @@ struct OfCloth<T> {
     /// The accelerations of the last frame, at its end those of the frame before it, 0 at handles; shape [3, H, W].
     earlier: Vec<T>,
     extrapolation: Extrapolation<T>,
+    sheet: SheetAxes<T>,
     axes: Vec<T>,
     /// If the spectral or the co-rotated direction is among them.
     steps_of_sheet: Option<SheetSteps<T>>,
@@ -88,13 +90,15 @@ impl<T: Real> Subspace<T> {
             self.directions.iter().any(|d| matches!(d, Direction::Spectral | Direction::CoRotated));
         let n = model.grid.particles();
         let zeros = |fields: usize| vec![T::zero(); fields * n];
-        let new = |cloth: &Cloth| {
+        let marks = model.marks();
+        let new = |(cloth, marks): (&Cloth, &[Mark])| {
             let held = cloth.held();
             OfCloth {
                 directions: zeros(3 * self.directions.len().max(2)),
                 last: zeros(3),
                 earlier: zeros(3),
                 extrapolation: Extrapolation::new(model.grid, &held),
+                sheet: SheetAxes::new(model.grid, marks),
                 axes: zeros(AXES),
                 steps_of_sheet: needs_steps
                     .then(|| SheetSteps::new(&cosines, cloth, &SheetConstants::FITTED)),
@@ -104,7 +108,7 @@ impl<T: Real> Subspace<T> {
                 held,
             }
         };
-        self.cloths = model.cloths.iter().map(new).collect();
+        self.cloths = model.cloths.iter().zip(marks.chunks_exact(n)).map(new).collect();
         for (new, old) in self.cloths.iter_mut().zip(old) {
             (new.last, new.earlier) = (old.last, old.earlier);
         }
@@ -113,7 +117,7 @@ impl<T: Real> Subspace<T> {
     /// Starts a frame of `objective`, which has begun it and still holds the accelerations of the frame before;
     /// they become 0.
     pub fn begin_frame(&mut self, objective: &mut Objective<T>, (state, control): (&State<T>, &Control<T>)) {
-        let (grid, len) = (objective.model().grid, objective.cloth_len());
+        let len = objective.cloth_len();
         for (cloth, a) in self.cloths.iter_mut().zip(objective.trial.a.chunks_exact_mut(len)) {
             cloth.steps = StepCounts::default();
             // Taken at the end of the last frame; handles accelerate as they are told.
@@ -126,9 +130,7 @@ impl<T: Real> Subspace<T> {
             let objective = &*objective;
             let each = self.cloths.par_iter_mut().enumerate().filter(|(_, own)| own.steps_of_sheet.is_some());
             each.for_each(|(b, own)| {
-                let trial = objective.trial.cloth(state, b);
-                let of = (trial.material, trial.damping);
-                sheet_axes((grid, trial.marks), of, trial.x, trial.shift, &mut own.axes);
+                objective.sheet_axes(state, b, (&mut own.sheet, &mut own.axes));
                 objective.shorten_axes(b, &mut own.axes);
             });
         }
@@ -156,7 +158,7 @@ impl<T: Real> Subspace<T> {
         }
         let len = objective.cloth_len();
         for (cloth, a) in self.cloths.iter().zip(objective.trial.a.chunks_exact_mut(len)) {
-            a.iter_mut().zip(&cloth.last).for_each(|(a, &step)| *a = *a + step);
+            Pass::Add(a, T::one(), &cloth.last).run();
         }
         self.end_step(objective, state);
     }
@@ -199,7 +201,7 @@ impl<T: Real> Subspace<T> {
                         // Later its last proposal stays.
                         Direction::Network(_) if proposed.is_empty() => continue,
                         Direction::Network(_) => p.copy_from_slice(&proposed[b * len..][..len]),
-                        _ => p.iter_mut().zip(grad).for_each(|(p, &g)| *p = -g),
+                        _ => Pass::Negate(p, grad).run(),
                     }
                     match (kind, &mut cloth.steps_of_sheet) {
                         (Direction::Spectral, Some(steps)) => steps.in_space(&cloth.axes, p),
@@ -315,7 +317,7 @@ impl<T: Real> OfCloth<T> {
             if factor != 0.0 {
                 self.accepted.slope += factor * slope;
                 let factor = T::of(factor);
-                self.last.iter_mut().zip(p).for_each(|(step, &p)| *step = *step + factor * p);
+                Pass::Add(&mut self.last, factor, p).run();
             }
         }
     }
@@ -341,7 +343,7 @@ impl<T: Real> OfCloth<T> {
         self.accepted = here;
         self.last.fill(T::zero());
         self.take(&best.factors[..count], &model.slopes);
-        a.iter_mut().zip(&self.last).for_each(|(a, &step)| *a = *a + step);
+        Pass::Add(a, T::one(), &self.last).run();
     }
 }
 
