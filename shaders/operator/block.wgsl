@@ -31,12 +31,12 @@
 // rows_or_field: [S, H, 2 modes_w, C] with ROWS, [parts, S, H, Q] quads with FIELD
 // rows_max: [S, H, C]
 //
-// One invocation per tile of output channels and SPAN quads, WIDE apart. With STAGED, inputs and weights pass
-// through workgroup memory, CHUNK inputs at a time, so that a workgroup reads each of them once and in
-// parallel. The second tile is the number of columns k of `rows_or_field` that an invocation sums for a quad
+// One invocation per tile of output channels and SPAN quads, WIDE apart, of each of LINES rows. With STAGED, inputs and weights
+// pass through workgroup memory, CHUNK inputs at a time, so that a workgroup reads each of them once and in
+// parallel; only then, and in a block, there may be several rows. The second tile is the number of columns k of `rows_or_field` that an invocation sums for a quad
 // of channels from workgroup memory. It divides their number, 2 modes_w.
-// Workgroups: (Q / (SPAN * WIDE), H, S * C / (tile * DEEP)) of DEEP rows of WIDE consecutive invocations. A
-// row has one tile of output channels.
+// Workgroups: (Q / (SPAN * WIDE), H / LINES, S * C / (tile * DEEP)) of DEEP rows of WIDE consecutive invocations. Each of
+// these has one tile of output channels.
 // Adjoint: itself with the `transpose`d skip, no bias and the table of the row transform (x),
 // `transform_rows` with this table (r), `pointwise_weight_adj` (skip, bias). The lifting has none in this
 // form, because training runs its layers one by one.
@@ -70,6 +70,7 @@ override FIELD: bool = false;
 override STAGED: bool = false;
 override WIDE: u32 = 8;
 override SPAN: u32 = 1;
+override LINES: u32 = 1;
 override DEEP: u32 = 1;
 override CHUNK: u32 = 1;
 // Quads of workgroup memory, as many as the most demanding of its uses below needs.
@@ -81,24 +82,29 @@ var<workgroup> memory: array<vec4f, MEMORY>;
 @compute @workgroup_size(WIDE * DEEP)
 fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) group: vec3u$lane) {
     let depth = index / WIDE;
-    let row = group.y;
+    let row = group.y * LINES;
     let tiles = params.channels / $n;
     let sample = group.z * DEEP / tiles;
     let first_tile = group.z * DEEP % tiles;
     let tile = first_tile + depth;
     let columns = select(params.columns, 0u, LIFTING);
+    let last_row = params.rows - 1u;
     let line = sample * params.rows + row;
     let first_quad = group.x * WIDE * SPAN;
-    let place$x = first_quad + $x * WIDE + index % WIDE;
-    let exists$x = place$x < params.row_quads;
+    // The positions of an invocation: SPAN of each row.
+    let positions = LINES * SPAN;
+    let place$x = first_quad + $xu % SPAN * WIDE + index % WIDE;
+    let exists$x = place$x < params.row_quads && row + $xu / SPAN <= last_row;
     // Invocations beyond the last quad still take part in subgroup broadcasts.
     let quad$x = min(place$x, params.row_quads - 1u);
+    let line$x = sample * params.rows + min(row + $xu / SPAN, last_row);
     var y$c = vec4f();
     prepare(sample, row, first_quad, index);
     if STAGED {
-        // Memory holds the inputs [CHUNK, SPAN, WIDE], then their weights [CHUNK, DEEP, tile], in quads.
+        // Memory holds the inputs [CHUNK, LINES, SPAN, WIDE], then their weights [CHUNK, DEEP, tile], or those of columns
+        // [CHUNK, LINES, DEEP, tile], in quads.
         let all = params.inputs + columns;
-        let inputs = CHUNK * SPAN * WIDE;
+        let inputs = CHUNK * positions * WIDE;
         for (var begin = 0u; begin < all;) {
             // A chunk consists of inputs or of columns.
             let of_columns = begin >= params.inputs;
@@ -106,10 +112,11 @@ fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) gro
             workgroupBarrier();
             // Four at a time, whose loads are all under way before the first is awaited. Beyond the last one
             // it is loaded again.
-            for (var first = 0u; first < count * SPAN; first += 4u * DEEP) {
+            for (var first = 0u; first < count * positions; first += 4u * DEEP) {
                 let k$4 = first + $4 * DEEP + depth;
-                let i$4 = begin + min(k$4 / SPAN, count - 1u);
+                let i$4 = begin + min(k$4 / positions, count - 1u);
                 let q$4 = min(first_quad + k$4 % SPAN * WIDE + index % WIDE, params.row_quads - 1u);
+                let l$4 = min(row + k$4 % positions / SPAN, last_row);
                 var v$4 = vec4f();
                 if LIFTING {
                     let quads = params.embedded / 4u + 1u;
@@ -117,7 +124,7 @@ fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) gro
                         let h$4 = r[i$4 * quads + part];
                         for (var e = 0u; e < 4u; e++) {
                             if 4u * part + e < params.embedded {
-                                v$4 += h$4[e] * channel(sample, 4u * part + e, row, q$4);
+                                v$4 += h$4[e] * channel(sample, 4u * part + e, l$4, q$4);
                             } else if 4u * part + e == params.embedded {
                                 v$4 += h$4[e];
                             }
@@ -127,27 +134,38 @@ fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) gro
                 } else if of_columns {
                     v$4 = tables[(i$4 - params.inputs) * params.row_quads + q$4];
                 } else {
-                    v$4 = input(sample, i$4, row, q$4);
+                    v$4 = input(sample, i$4, l$4, q$4);
                 }
-                if k$4 < count * SPAN { memory[k$4 * WIDE + index % WIDE] = v$4; }
+                if k$4 < count * positions { memory[k$4 * WIDE + index % WIDE] = v$4; }
             }
-            for (var first = 0u; first < count * DEEP * $m; first += 4u * WIDE * DEEP) {
+            let weights = DEEP * $m;
+            let each = select(weights, LINES * weights, of_columns);
+            for (var first = 0u; first < count * each; first += 4u * WIDE * DEEP) {
                 let k$4 = first + $4 * WIDE * DEEP + index;
-                let i$4 = begin + min(k$4 / (DEEP * $m), count - 1u);
-                let q$4 = k$4 % (DEEP * $m);
+                let i$4 = begin + min(k$4 / each, count - 1u);
+                let q$4 = k$4 % weights;
                 var w$4 = vec4f();
                 if of_columns {
-                    w$4 = r[(line * columns + i$4 - params.inputs) * params.channels / 4u + first_tile * $m + q$4];
+                    let l$4 = sample * params.rows + min(row + k$4 % each / weights, last_row);
+                    w$4 = r[(l$4 * columns + i$4 - params.inputs) * params.channels / 4u + first_tile * $m + q$4];
                 } else {
                     w$4 = vec4f(skip[((first_tile + q$4 / $m) * params.inputs + i$4) * $m + q$4 % $m]);
                 }
-                if k$4 < count * DEEP * $m { memory[inputs + k$4] = w$4; }
+                if k$4 < count * each { memory[inputs + k$4] = w$4; }
             }
             workgroupBarrier();
-            for (var i = 0u; i < count; i++) {
-                let v$x = memory[(i * SPAN + $x) * WIDE + index % WIDE];
-                let w$q = memory[inputs + (i * DEEP + depth) * $m + $q];
-                y$c += w$q.$e * v$x;
+            if LINES > 1u && of_columns {
+                for (var i = 0u; i < count; i++) {
+                    let v$x = memory[(i * positions + $xu) * WIDE + index % WIDE];
+                    let w$q_$x = memory[inputs + ((i * LINES + $xu / SPAN) * DEEP + depth) * $m + $q];
+                    y$c += w$q_$x.$e * v$x;
+                }
+            } else {
+                for (var i = 0u; i < count; i++) {
+                    let v$x = memory[(i * positions + $xu) * WIDE + index % WIDE];
+                    let w$q = memory[inputs + (i * DEEP + depth) * $m + $q];
+                    y$c += w$q.$e * v$x;
+                }
             }
             begin += count;
         }
@@ -205,7 +223,7 @@ fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) gro
         var sum$x = vec4f();
         let h$q = $same(bias[params.channels / 4u + tile * $m + $q]);
         sum$x += h$q.$e * y$c;
-        // Memory holds [SPAN, DEEP, WIDE] quads. The first invocation of each quad adds them up.
+        // Memory holds [LINES, SPAN, DEEP, WIDE] quads. The first invocation of each quad adds them up.
         memory[$x * WIDE * DEEP + index] = sum$x;
         workgroupBarrier();
         if depth == 0u {
@@ -216,13 +234,13 @@ fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) gro
             if part == 0u {
                 sum$x += bias[params.channels / 2u].x;
             }
-            let out = (part * params.samples * params.rows + line) * params.row_quads;
-            if exists$x { keep_quad(out + quad$x, sum$x); }
+            let out = part * params.samples * params.rows;
+            if exists$x { keep_quad((out + line$x) * params.row_quads + quad$x, sum$x); }
         }
         return;
     }
-    let out = (line * params.channels + tile * $n) * params.row_quads;
-    if exists$x { keep_output(out + $o * params.row_quads + quad$x, y$c); }
+    let out$x = (line$x * params.channels + tile * $n) * params.row_quads + quad$x;
+    if exists$x { keep_output(out$x + $o * params.row_quads, y$c); }
     if !ROWS && !POOL {
         return;
     }
@@ -290,48 +308,54 @@ fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) gro
         }
     }
 #else
-    // Memory holds the workgroup's part of y, [DEEP, tile / 4, 4, Q]. The strides are odd, so that the lanes
+    // Memory holds the workgroup's part of a row of y, [DEEP, tile / 4, 4, Q]. The strides are odd, so that the lanes
     // that read together, each a channel or a quad of channels at the same place of the row, find them in
     // different banks.
     let stride = params.row_quads | 1u;
     let of_quad = 4u * stride + 1u;
-    if exists$x { memory[(depth * $m + $o / 4u) * of_quad + $o % 4u * stride + quad$x] = y$c; }
-    workgroupBarrier();
-    if ROWS {
-        // A part is some columns k of a quad of channels. Invocations beyond the last part still take part in
-        // subgroup broadcasts.
-        let quads = DEEP * $m;
-        let parts = quads * (params.columns / $t);
-        let forward = columns * params.row_quads;
-        for (var begin = 0u; begin < parts; begin += WIDE * DEEP) {
-            let part = min(begin + index, parts - 1u);
-            let column = part / quads * $t;
-            let at = part % quads * of_quad;
-            var z$k = vec4f();
-            for (var q = 0u; q < params.row_quads; q++) {
-                let v = mat4x4f(memory[at + q], memory[at + stride + q], memory[at + 2u * stride + q], memory[at + 3u * stride + q]);
-                let t$k = $same(tables[forward + q * params.columns + column + $k]);
-                z$k += t$k * v;
-            }
-            if begin + index < parts {
-                let to = ((line * params.columns + column) * params.channels + first_channel) / 4u + part % quads;
-                keep_quad(to + $k * params.channels / 4u, z$k);
+    for (var l = 0u; l < LINES; l++) {
+        if l > 0u { workgroupBarrier(); }
+        // Of rows beyond the last one nothing is written.
+        let is_row = row + l <= last_row;
+        let keeps$x = exists$x && $xu / SPAN == l;
+        if keeps$x { memory[(depth * $m + $o / 4u) * of_quad + $o % 4u * stride + quad$x] = y$c; }
+        workgroupBarrier();
+        if ROWS {
+            // A part is some columns k of a quad of channels. Invocations beyond the last part still take part in
+            // subgroup broadcasts.
+            let quads = DEEP * $m;
+            let parts = quads * (params.columns / $t);
+            let forward = columns * params.row_quads;
+            for (var begin = 0u; begin < parts; begin += WIDE * DEEP) {
+                let part = min(begin + index, parts - 1u);
+                let column = part / quads * $t;
+                let at = part % quads * of_quad;
+                var z$k = vec4f();
+                for (var q = 0u; q < params.row_quads; q++) {
+                    let v = mat4x4f(memory[at + q], memory[at + stride + q], memory[at + 2u * stride + q], memory[at + 3u * stride + q]);
+                    let t$k = $same(tables[forward + q * params.columns + column + $k]);
+                    z$k += t$k * v;
+                }
+                if is_row && begin + index < parts {
+                    let to = (((line + l) * params.columns + column) * params.channels + first_channel) / 4u + part % quads;
+                    keep_quad(to + $k * params.channels / 4u, z$k);
+                }
             }
         }
-    }
-    if POOL {
-        for (var o = index; o < DEEP * $n; o += WIDE * DEEP) {
-            let at = o / 4u * of_quad + o % 4u * stride;
-            var most = memory[at];
-            let last = params.row_quads - 1u;
-            for (var q = 1u; q < last; q++) {
-                most = max(most, memory[at + q]);
+        if POOL {
+            for (var o = index; o < DEEP * $n; o += WIDE * DEEP) {
+                let at = o / 4u * of_quad + o % 4u * stride;
+                var most = memory[at];
+                let last = params.row_quads - 1u;
+                for (var q = 1u; q < last; q++) {
+                    most = max(most, memory[at + q]);
+                }
+                // Columns of the last quad beyond W repeat the quad's first one, which always exists.
+                let v = memory[at + last];
+                let inside = vec4u(0u, 1u, 2u, 3u) + 4u * last < vec4u(params.width);
+                most = max(most, select(vec4f(v.x), v, inside));
+                if is_row { keep_largest((line + l) * params.channels + first_channel + o, largest_of(most)); }
             }
-            // Columns of the last quad beyond W repeat the quad's first one, which always exists.
-            let v = memory[at + last];
-            let inside = vec4u(0u, 1u, 2u, 3u) + 4u * last < vec4u(params.width);
-            most = max(most, select(vec4f(v.x), v, inside));
-            keep_largest(line * params.channels + first_channel + o, largest_of(most));
         }
     }
 #endif

@@ -89,15 +89,17 @@ pub fn run(args: &Args) -> Result<Ending> {
 }
 
 fn describe(tuning: &Tuning) -> String {
-    let Tuning { channels, pointwise_group, block_wide, block_span, block_deep, staged, .. } = tuning;
+    let Tuning { channels, pointwise_group, block_wide, block_span, block_deep, block_lines, staged, .. } =
+        tuning;
     let Tuning { rows_in_blocks, spectral_teams, busy_groups, sharing, texels, activation_bytes, .. } =
         tuning;
     let passes = activation_bytes >> 20;
     let rows = if *rows_in_blocks { "in blocks" } else { "apart" };
     let staged = if *staged { " staged" } else { "" };
     let texels = if *texels { ", texels" } else { "" };
+    let lines = if *block_lines > 1 { format!(" of {block_lines} rows in batches") } else { String::new() };
     format!(
-        "tile {channels}, block {block_wide}x{block_span}x{block_deep}{staged}, group {pointwise_group}, rows {rows}, teams {spectral_teams}, \
+        "tile {channels}, block {block_wide}x{block_span}x{block_deep}{staged}{lines}, group {pointwise_group}, rows {rows}, teams {spectral_teams}, \
          busy {busy_groups}, {sharing:?}{texels}, passes of {passes} MiB"
     )
     .to_lowercase()

@@ -8,6 +8,7 @@
 //! | `$q`, `$e` | together with `$c`: the quad that contains the channel, its element there (`x` to `w`) | |
 //! | `$q` | a quad of channels of the tile | once per quad |
 //! | `$x` | a position | once per position |
+//! | `$q`, `$x` | a quad of channels at a position | once per quad and position |
 //! | `$k` | an output of the second tile | once per output |
 //! | `$8` | 0 to 7 | eight times, also for each `$k` |
 //! | `$4` | 0 to 3 | four times, with all copies of other markers |
@@ -135,6 +136,10 @@ impl Source {
             let of_four = |k: usize| self.unrolled_line(&line.replace("$4", &k.to_string()), unroll);
             return (0..4).map(of_four).collect::<Vec<_>>().join(" ");
         }
+        if line.contains("$q") && line.contains("$x") && !line.contains("$c") {
+            let at_place = |place: usize| self.unrolled_line(&line.replace("$x", &place.to_string()), unroll);
+            return (0..span).map(at_place).collect::<Vec<_>>().join(" ");
+        }
         if line.contains("$k") && line.contains("$8") {
             let of_output = |k: usize| self.unrolled_line(&line.replace("$k", &k.to_string()), unroll);
             return (0..second).map(of_output).collect::<Vec<_>>().join(" ");
@@ -229,6 +234,13 @@ mod tests {
 
     fn unrolled(wgsl: &'static str, unroll: impl Into<Unroll>) -> String {
         Source { name: "test", wgsl, appended: &[] }.unrolled(unroll)
+    }
+
+    #[test]
+    fn a_quad_of_channels_may_differ_from_place_to_place() {
+        let unroll = Unroll { span: 2, ..8.into() };
+        let all = "let w0_0 = a[0 + 0u]; let w1_0 = a[1 + 0u]; let w0_1 = a[0 + 1u]; let w1_1 = a[1 + 1u];";
+        assert_eq!(unrolled("let w$q_$x = a[$q + $xu];", unroll).trim_end(), all);
     }
 
     #[test]

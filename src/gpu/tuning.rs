@@ -21,6 +21,9 @@ pub struct Tuning {
     pub block_span: u32,
     /// Most tiles of output channels per workgroup of a block.
     pub block_deep: u32,
+    /// Most rows per invocation of a block in batches ([`Tuning::BATCH`]), at most 4: each staged weight is then read once for all of
+    /// them. Fewer where workgroup memory does not hold as many, or where operands are not staged or are broadcast.
+    pub block_lines: u32,
     /// Whether the inputs and weights of a block, and the operands of a sheet's transforms, are staged in workgroup memory. Each is then read once for
     /// all channels of a workgroup, and an invocation waits for a few reads instead of one per input. The
     /// scalar head, which is little work in comparison, is then repeated in every workgroup of the update
@@ -57,6 +60,10 @@ struct Stored {
 }
 
 impl Tuning {
+    /// Number of cloths from which on there are enough rows to keep an adapter busy with several per invocation
+    /// ([`Tuning::block_lines`]).
+    pub const BATCH: usize = 16;
+
     /// Returns the table's entry for the adapter.
     pub fn table(context: &Context) -> Self {
         Self::of(context.kind(), context.sharing())
@@ -73,6 +80,7 @@ impl Tuning {
             block_wide: 64,
             block_span: 2,
             block_deep: 1,
+            block_lines: 1,
             staged: false,
             rows_in_blocks: true,
             spectral_teams: 1,
@@ -88,6 +96,7 @@ impl Tuning {
                 block_wide: 32,
                 block_span: 1,
                 block_deep: 8,
+                block_lines: 2,
                 staged: true,
                 spectral_teams: 4,
                 busy_groups: 128,
@@ -110,6 +119,7 @@ impl Tuning {
         let widths = [8, 16, 32, 64].map(|block_wide| Self { block_wide, ..*self });
         let spans = [1, 2, 4].map(|block_span| Self { block_span, ..*self });
         let depths = [1, 2, 4, 8, 16].map(|block_deep| Self { block_deep, ..*self });
+        let lines = [1, 2, 4].map(|block_lines| Self { block_lines, ..*self });
         let staged = [true, false].map(|staged| Self { staged, ..*self });
         let rows = [true, false].map(|rows_in_blocks| Self { rows_in_blocks, ..*self });
         let teams = [1, 2, 4].map(|spectral_teams| Self { spectral_teams, ..*self });
@@ -130,6 +140,7 @@ impl Tuning {
             others(channels),
             others(&depths),
             others(&staged),
+            others(&lines),
             others(&widths),
             others(&spans),
             others(&groups),
@@ -161,8 +172,9 @@ impl Tuning {
         let fits = |n: u32| (1..=WORKGROUP_INVOCATIONS).contains(&n);
         let teams = (1..=WORKGROUP_INVOCATIONS / 64).contains(&self.spectral_teams);
         let groups = fits(self.pointwise_group) && teams && fits(self.block_wide);
-        let depth = (1..=16).contains(&self.block_deep) && (1..=4).contains(&self.block_span);
-        shared && tile && groups && depth && self.activation_bytes > 0
+        let depth = (1..=16).contains(&self.block_deep);
+        let [spans, lines] = [self.block_span, self.block_lines].map(|n| (1..=4).contains(&n));
+        shared && tile && groups && depth && spans && lines && self.activation_bytes > 0
     }
 
     /// Returns the largest number of samples, of `activations` activations each, that fit

@@ -248,7 +248,7 @@ impl Forward {
         let epilogues: Vec<Epilogue> = (0..config.layers)
             .map(|block| epilogue(&config, block, keep, fuses_field_head, rows_in_blocks))
             .collect();
-        let of_blocks = &Tuning { texels: in_texels, ..*tuning };
+        let of_blocks = &Tuning { texels: in_texels, block_lines: plan.block_lines(), ..*tuning };
         let lifting = |of_fields| {
             let epilogue = Epilogue { rows: lifting_takes_rows, ..Epilogue::default() };
             Block::new(context, of_blocks, of_lifting(of_fields), epilogue)

@@ -10,6 +10,8 @@
 //! - A spectral convolution has one workgroup per kept column and tile of samples, and is divided by output
 //!   channels until there are [`Tuning::busy_groups`] of them: one cloth repeats some column transforms to fill
 //!   the device, a batch that fills it repeats none.
+//! - From [`Tuning::BATCH`] cloths in a pass on, an invocation of a block takes [`Tuning::block_lines`] rows, so that a workgroup reads
+//!   weights once for all of them. Fewer cloths fill the device better with a row each.
 //! - Samples whose activations exceed [`Tuning::activation_bytes`], or what the device binds, take turns in
 //!   passes of nearly equal length ([`Plan::fit_passes`]).
 
@@ -63,6 +65,11 @@ impl Plan {
         Self { samples, ..*self }
     }
 
+    /// Returns the most rows per invocation of a block.
+    pub(super) fn block_lines(&self) -> u32 {
+        if self.samples < 3 * Tuning::BATCH { 1 } else { self.tuning.block_lines }
+    }
+
     /// Returns the layout of the weights of a network for this plan: in tiles of the tuning's channels, or of
     /// at most [`CHANNEL_MULTIPLE`] if rows fit a workgroup only then.
     pub(super) fn layout(&self, context: &Context, config: Config) -> Layout {
@@ -107,5 +114,21 @@ pub(super) fn epilogue(
         field: last && fuses_field_head,
         rows: rows_in_blocks && !last,
         pool: rows_in_blocks && block == config.scalar_block(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::{AdapterKind, Sharing};
+
+    #[test]
+    fn only_batches_have_several_rows_in_an_invocation() {
+        let tuning = Tuning::of(AdapterKind::Hardware, Sharing::Loads);
+        let of_cloths = |cloths: usize| {
+            let plan = Plan { grid: Grid { h: 32, w: 32 }, samples: 3 * cloths, tuning, keep: Keep::Nothing };
+            plan.block_lines()
+        };
+        assert_eq!([1, 15, 16, 256].map(of_cloths), [1, 1, 2, 2]);
     }
 }

@@ -87,6 +87,10 @@ impl Stopwatch<'_> {
                 if flow.is_break() {
                     return Ok(table);
                 }
+                // Only batches have several rows per invocation, so here they make no difference.
+                if self.model.batch() < Tuning::BATCH && tuning.block_lines != before.block_lines {
+                    continue;
+                }
                 let solver = match self.solver(tuning) {
                     Ok(solver) => solver,
                     // Too much for the device; the others may do.

@@ -96,7 +96,7 @@ pub fn tunings() -> [Tuning; 5] {
     [
         software,
         hardware,
-        Tuning { block_span: 2, ..hardware },
+        Tuning { block_span: 2, block_lines: 3, ..hardware },
         Tuning {
             channels: 16,
             block_wide: 32,

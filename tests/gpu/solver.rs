@@ -289,6 +289,38 @@ fn runs_repeat_bit_for_bit_and_batches_equal_single_cloths() {
     }
 }
 
+/// From sixteen cloths on, invocations of a block have several rows, here of 21: the last ones have fewer. Each of their sums stays
+/// the same.
+#[test]
+fn large_batches_have_the_bits_of_small_ones() {
+    let _turn = device();
+    let (model, start, control) = varied_batch();
+    let optimizer = Optimizer::paper(starter().clone());
+    let run = |times: usize, tuning: Tuning| {
+        let cloths = std::iter::repeat_n(&model.cloths, times).flatten().cloned().collect();
+        let model = Model { grid: model.grid, cloths };
+        let start = State { x: start.x.repeat(times), v: start.v.repeat(times) };
+        let Control { handles, wind, external, .. } = control.clone();
+        let control = Control {
+            handles: handles.repeat(times),
+            wind: wind.repeat(times),
+            external: external.repeat(times),
+            ..control.clone()
+        };
+        let solver = solver_with(tuning, &model, (&optimizer, 2), &start);
+        step(&solver, &control);
+        step(&solver, &control)
+    };
+    let hardware = sharings()[1];
+    let small = run(1, hardware);
+    for block_lines in [2, 4] {
+        let large = run(Tuning::BATCH.div_ceil(3), Tuning { block_lines, ..hardware });
+        for (k, x) in large.x.chunks_exact(small.x.len()).enumerate() {
+            assert_same(&format!("cloths from {} on, {block_lines} rows", 3 * k), x, &small.x);
+        }
+    }
+}
+
 /// A host can record any number of frames into its own encoder, among its own commands.
 #[test]
 fn frames_are_recorded_into_a_hosts_encoder() {

@@ -134,6 +134,8 @@ impl LayerSize {
 struct Group {
     wide: usize,
     span: usize,
+    /// Rows of an invocation.
+    lines: usize,
     deep: usize,
     /// Number of inputs staged at a time, and (`staged`) of the quads of memory that they take.
     chunk: usize,
@@ -146,7 +148,7 @@ struct Group {
 
 impl Group {
     /// Returns the group of a layer, with as many tiles of channels as the tuning allows and the device can
-    /// hold. `None` if a row is too long for the device.
+    /// hold, and then as many rows. `None` if a row is too long for the device.
     fn new(limits: &wgpu::Limits, tuning: &Tuning, layer: &LayerSize, epilogue: Epilogue) -> Option<Self> {
         let capacity = limits.max_compute_workgroup_storage_size as usize / 16;
         let most = limits.max_compute_invocations_per_workgroup.min(limits.max_compute_workgroup_size_x);
@@ -169,23 +171,23 @@ impl Group {
         let sums = of_fields.map_or(0, |_| features::SUMS_BYTES / 16);
         let embedded_quads =
             of_fields.filter(|_| tuning.staged).map_or(0, |lifting| lifting.inputs * span * wide);
-        let of_depth = |deep: usize| {
+        let of_shape = |(lines, deep): (usize, usize)| {
             let kept = match epilogue {
                 _ if epilogue.whole_rows() && tuning.sharing == Sharing::Broadcast => {
                     let rows = if epilogue.rows { 2 * layer.modes_w } else { 0 };
                     deep * wide / LANES * (rows + usize::from(epilogue.pool)) * quads
                 }
                 _ if epilogue.whole_rows() => deep * quads * (4 * (layer.row_quads | 1) + 1),
-                _ if epilogue.field => span * wide * deep,
+                _ if epilogue.field => lines * span * wide * deep,
                 _ => 1,
             };
             let (mut chunk, mut staged) = (1, 0);
             if tuning.staged {
-                let input = span * wide + deep * quads;
+                let input = lines * (span * wide + deep * quads);
                 let at_once =
                     (kept.max(STAGE_BYTES / 16).saturating_sub(embedded_quads + sums) / input).max(1);
                 // Whole rounds of loads, of four inputs per row of lanes and place, if there is room for one.
-                let round = (4 * deep / span).max(1);
+                let round = (4 * deep / (lines * span)).max(1);
                 let at_once = if at_once > round { at_once - at_once % round } else { at_once };
                 chunk = layer.summed().div_ceil(layer.summed().div_ceil(at_once));
                 staged = chunk * input;
@@ -193,6 +195,7 @@ impl Group {
             Self {
                 wide,
                 span,
+                lines,
                 deep,
                 chunk,
                 staged,
@@ -206,7 +209,12 @@ impl Group {
             let few = g.deep == 1 || g.lanes() <= WORKGROUP_INVOCATIONS as usize;
             few && g.lanes() <= most as usize && g.memory + sums <= capacity
         };
-        depths.map(of_depth).find(fits)
+        let group = depths.map(|deep| of_shape((1, deep))).find(fits)?;
+        // Weights that a workgroup does not stage are read for one row, and a lifting embeds one.
+        let takes_lines = tuning.staged && tuning.sharing == Sharing::Loads && layer.lifting.is_none();
+        let most = if takes_lines { tuning.block_lines as usize } else { 1 };
+        let with_lines = (2..=most).rev().map(|lines| of_shape((lines, group.deep))).find(fits);
+        Some(with_lines.unwrap_or(group))
     }
 
     fn lanes(&self) -> usize {
@@ -264,6 +272,7 @@ impl Block {
             ("STAGED", flag(tuning.staged)),
             ("WIDE", group.wide as f64),
             ("SPAN", group.span as f64),
+            ("LINES", group.lines as f64),
             ("DEEP", group.deep as f64),
             ("CHUNK", group.chunk as f64),
             ("MEMORY", group.memory as f64),
@@ -278,8 +287,13 @@ impl Block {
         }
         let uniforms = layer.uniform_quads(context, tuning, epilogue);
         let texels = tuning.texels;
-        let unroll =
-            Unroll { span: group.span, second: 2, uniforms, texels, ..tuning.unroll(tuning.channels) };
+        let unroll = Unroll {
+            span: group.lines * group.span,
+            second: 2,
+            uniforms,
+            texels,
+            ..tuning.unroll(tuning.channels)
+        };
         let kernel = Kernel::new(context, &source, unroll, &constants)?;
         let nothing = || Tensor::zeros(context, "nothing", &[1]);
         let nothing = [nothing()?, nothing()?];
@@ -357,9 +371,9 @@ impl Block {
             all_samples: size(all_samples),
             place,
         };
-        let Group { wide, span, deep, .. } = self.group;
+        let Group { wide, span, lines, deep, .. } = self.group;
         let tiles = samples * channels / self.tile;
-        let count = [row_quads.div_ceil(span * wide), h, tiles / deep].map(size);
+        let count = [row_quads.div_ceil(span * wide), h.div_ceil(lines), tiles / deep].map(size);
         let [no_rows_or_field, no_maxima] = &self.nothing;
         let (rows_or_field, rows_max) =
             (rows_or_field.unwrap_or(no_rows_or_field), rows_max.unwrap_or(no_maxima));
