@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Runs all tests. They need a software Vulkan driver, even next to a GPU's; Mesa's is installed if need be.
-# Arguments are passed on to `cargo test`, as in `tests/run.sh --test cli`.
+# With arguments, `cargo test` with them, as in `tests/run.sh --test cli`.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -33,4 +33,26 @@ if [[ "$(uname -s)" == Linux ]] && ! has_driver; then
     fi
 fi
 
-exec cargo test --release "$@"
+if (($#)); then exec cargo test --release "$@"; fi
+
+cargo test --release --no-run
+# Tests of devices take turns on one, which leaves cores idle: all others run beside them, and are printed first.
+of_devices=$(mktemp)
+cargo test --release --test gpu >"$of_devices" 2>&1 &
+devices=$!
+trap 'pkill -P "$devices" || true; rm -f "$of_devices"' EXIT
+others=()
+for file in tests/*.rs tests/*/main.rs; do
+    name=${file#tests/}
+    name=${name%.rs}
+    case ${name%/main} in
+        # The viewer's need a feature.
+        gpu | view) ;;
+        *) others+=(--test "${name%/main}") ;;
+    esac
+done
+failed=0
+cargo test --release --lib --bins "${others[@]}" && cargo test --release --doc || failed=$?
+wait "$devices" || failed=$?
+cat "$of_devices"
+exit "$failed"
