@@ -40,13 +40,18 @@ cargo test --release --no-run
 of_devices=$(mktemp)
 cargo test --release --test gpu >"$of_devices" 2>&1 &
 devices=$!
-trap 'pkill -P "$devices" || true; rm -f "$of_devices"' EXIT
+ended() {
+    pkill -P "$devices" || true
+    cat "$of_devices"
+    rm -f "$of_devices"
+}
+trap ended EXIT
 others=()
 for file in tests/*.rs tests/*/main.rs; do
     name=${file#tests/}
     name=${name%.rs}
     case ${name%/main} in
-        # The viewer's need a feature.
+        # The viewer's need a feature that is off by default.
         gpu | view) ;;
         *) others+=(--test "${name%/main}") ;;
     esac
@@ -54,5 +59,4 @@ done
 failed=0
 cargo test --release --lib --bins "${others[@]}" && cargo test --release --doc || failed=$?
 wait "$devices" || failed=$?
-cat "$of_devices"
 exit "$failed"

@@ -106,7 +106,8 @@ fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) gro
         let all = params.inputs + columns;
         let inputs = CHUNK * positions * WIDE;
         for (var begin = 0u; begin < all;) {
-            // A chunk consists of inputs or of columns.
+            // A chunk consists of inputs or of columns. The table is the same for all rows, but is staged for each: so both
+            // are read alike.
             let of_columns = begin >= params.inputs;
             let count = min(CHUNK, select(params.inputs, all, of_columns) - begin);
             workgroupBarrier();
@@ -321,8 +322,7 @@ fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) gro
         if keeps$x { memory[(depth * $m + $o / 4u) * of_quad + $o % 4u * stride + quad$x] = y$c; }
         workgroupBarrier();
         if ROWS {
-            // A part is some columns k of a quad of channels. Invocations beyond the last part still take part in
-            // subgroup broadcasts.
+            // A part is some columns k of a quad of channels. Invocations beyond the last one compute it, too.
             let quads = DEEP * $m;
             let parts = quads * (params.columns / $t);
             let forward = columns * params.row_quads;

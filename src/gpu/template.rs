@@ -93,7 +93,8 @@ pub enum Sharing {
     Broadcast,
 }
 
-/// The markers that repeat a line. The first of them that a line contains determines the number of copies.
+/// The markers that repeat a line. But for the pairs in the table above, the first of them that a line contains determines the number of
+/// copies.
 /// `$c` goes first, as it brings others along.
 const REPEATING: [&str; 5] = ["$c", "$q", "$x", "$k", "$8"];
 

@@ -184,6 +184,11 @@ impl Tuning {
         self.activation_bytes.min(binding) / (context.storage().bytes() * activations)
     }
 
+    /// Whether blocks can have several rows per invocation: weights that a workgroup does not stage are read for one row.
+    pub(crate) fn takes_lines(&self) -> bool {
+        self.staged && self.sharing == Sharing::Loads
+    }
+
     /// Returns how to unroll a kernel for a tile of this size.
     pub(crate) fn unroll(&self, tile: usize) -> Unroll {
         Unroll { sharing: self.sharing, ..tile.into() }

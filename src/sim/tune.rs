@@ -87,8 +87,9 @@ impl Stopwatch<'_> {
                 if flow.is_break() {
                     return Ok(table);
                 }
-                // Only batches have several rows per invocation, so here they make no difference.
-                if self.model.batch() < Tuning::BATCH && tuning.block_lines != before.block_lines {
+                // Where blocks have one row per invocation anyway, chance would choose how many batches have.
+                let takes_lines = before.takes_lines() && self.model.batch() >= Tuning::BATCH;
+                if tuning.block_lines != before.block_lines && !takes_lines {
                     continue;
                 }
                 let solver = match self.solver(tuning) {

@@ -23,8 +23,8 @@ pub struct SheetAxes<T> {
     stored: Stored,
     /// The factor along the axes of the world, shape [H, W].
     near: Vec<T>,
-    /// Edges from the row above, to the row below and to the right, shape [3, W'] after the zeros of a register: so each of the last
-    /// has one before it.
+    /// Edges from the row above, to the row below and to the right, each of shape [3, W'] after `LANES` zeros: so the number before an
+    /// edge to the right is that of the edge from the left, 0 for the first particle.
     above: Vec<T>,
     below: Vec<T>,
     right: Vec<T>,

@@ -24,7 +24,7 @@ pub(super) enum Pass<'a, T> {
 }
 
 impl<T: Real> Pass<'_, T> {
-    /// Does it. Panics if lengths differ.
+    /// Does it. Panics if an operand is shorter than the field.
     pub fn run(self) {
         Arch::new().dispatch(self);
     }

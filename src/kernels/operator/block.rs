@@ -210,8 +210,8 @@ impl Group {
             few && g.lanes() <= most as usize && g.memory + sums <= capacity
         };
         let group = depths.map(|deep| of_shape((1, deep))).find(fits)?;
-        // Weights that a workgroup does not stage are read for one row, and a lifting embeds one.
-        let takes_lines = tuning.staged && tuning.sharing == Sharing::Loads && layer.lifting.is_none();
+        // A lifting embeds one row.
+        let takes_lines = tuning.takes_lines() && layer.lifting.is_none();
         let most = if takes_lines { tuning.block_lines as usize } else { 1 };
         let with_lines = (2..=most).rev().map(|lines| of_shape((lines, group.deep))).find(fits);
         Some(with_lines.unwrap_or(group))
