@@ -4,7 +4,7 @@
 using System;
 using System.Linq;
 using System.Runtime.InteropServices;
-// size_t, under the name that older compilers know, too: those of Mono and Unity.
+// size_t, under the name that older compilers know, too, such as Mono's.
 using Size = System.UIntPtr;
 
 static class Fnopt

@@ -31,10 +31,11 @@
 // rows_or_field: [S, H, 2 modes_w, C] with ROWS, [parts, S, H, Q] quads with FIELD
 // rows_max: [S, H, C]
 //
-// One invocation per tile of output channels and SPAN quads, WIDE apart, of each of LINES rows. With STAGED, inputs and weights
-// pass through workgroup memory, CHUNK inputs at a time, so that a workgroup reads each of them once and in
-// parallel; only then, and in a block, there may be several rows. The second tile is the number of columns k of `rows_or_field` that an invocation sums for a quad
-// of channels from workgroup memory. It divides their number, 2 modes_w.
+// One invocation per tile of output channels and SPAN quads, WIDE apart, of each of LINES rows. With STAGED, inputs
+// and weights pass through workgroup memory, CHUNK inputs at a time, so that a workgroup reads each of them once and
+// in parallel; only then, and in a block, there may be several rows. The second tile is the number of columns k of
+// `rows_or_field` that an invocation sums for a quad of channels from workgroup memory. It divides their number,
+// 2 modes_w.
 // Workgroups: (Q / (SPAN * WIDE), H / LINES, S * C / (tile * DEEP)) of DEEP rows of WIDE consecutive invocations. Each of
 // these has one tile of output channels.
 // Adjoint: itself with the `transpose`d skip, no bias and the table of the row transform (x),

@@ -137,17 +137,14 @@ impl<T: Real> WithSimd for Rows<'_, '_, T> {
                     stiff[0],
                     stiff[1],
                 ];
-                let mut row = &mut axes[i * w..];
                 for component in 0..AXES {
                     let lanes = match component {
                         0..9 => fields[component / 3][component % 3],
                         9 => near,
                         _ => fields[(component - 1) / 3][(component - 1) % 3],
                     };
-                    T::store_partial(simd, &mut row[place..w], lanes);
-                    if component + 1 < AXES {
-                        row = &mut row[n..];
-                    }
+                    let to = &mut axes[component * n + i * w + place..][..w - place];
+                    T::store_partial(simd, to, lanes);
                 }
             }
         }

@@ -456,6 +456,17 @@ mod tests {
                     LayerSize { row_quads, modes_w: 5, channels: 64, lifting: Some(lifting) }
                 };
                 let [embedded, of_fields] = [false, true].map(size);
+                let block = LayerSize { row_quads, modes_w: 5, channels: 64, lifting: None };
+                let rows = Epilogue { rows: true, pool: true, ..Epilogue::default() };
+                if let Some(group) = Group::new(&limits, &tuning, &block, rows) {
+                    let one = Tuning { block_lines: 1, ..tuning };
+                    assert_eq!(
+                        group.deep,
+                        Group::new(&limits, &one, &block, rows).unwrap().deep,
+                        "{row_quads}"
+                    );
+                    assert!(group.lines == 2 || row_quads > 16, "{row_quads} quads, {kib} KiB: {group:?}");
+                }
                 assert_eq!(
                     Block::rows_fit(&limits, &tuning, &of_fields),
                     4 * row_quads <= columns,
