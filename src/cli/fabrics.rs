@@ -98,10 +98,15 @@ fn compared(fabric: &Fabric, (strips, disc): &Measured) -> String {
     let [warp, weft] = bending_lengths_m(fabric).map(|length| 1e3 * length);
     let [of_warp, of_weft] = strips.map(|strip| 1e3 * strip.bending_length_m);
     let (mean, deviation) = disc.coefficient();
+    let published = match fabric.published_drape_coefficients.map(|range| range.map(|c| 100.0 * c)) {
+        None => String::new(),
+        Some([least, most]) if least == most => format!(", published {least:.1} %"),
+        Some([least, most]) => format!(", published {least:.1} to {most:.1} %"),
+    };
     format!(
-        "bending length {warp:5.2} x {weft:5.2} mm, measured {of_warp:5.2} x {of_weft:5.2} mm  drape coefficient {:4.1} % +- {:.1} %",
+        "bending length {warp:5.2} x {weft:5.2} mm, measured {of_warp:5.2} x {of_weft:5.2} mm  drape coefficient {:4.1} % +- {:.1} %{published}",
         100.0 * mean,
-        100.0 * deviation
+        100.0 * deviation,
     )
 }
 
@@ -113,6 +118,7 @@ fn document(fabric: &Fabric, measured: Option<&Measured>) -> Value {
         "material": fabric.moduli,
         "bending_lengths_m": bending_lengths_m(fabric),
         "source": fabric.source,
+        "published_drape_coefficients": fabric.published_drape_coefficients,
     });
     if let Some((strips, disc)) = measured {
         document["measured"] = json!({

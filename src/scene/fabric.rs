@@ -4,8 +4,8 @@ use super::{Mass, Moduli, Scene, Stiffness};
 use crate::cloth::Weave;
 use crate::{Error, Result};
 
-/// A fabric to be had by its name: `"material": "denim"`, or [`Scene::set_fabric`]. All were measured but rubber,
-/// which follows from its density and shear modulus.
+/// A fabric to be had by its name: `"material": "denim"`, or [`Scene::set_fabric`]. Most were measured; rubber follows from its
+/// density and shear modulus, and leather from its drape.
 ///
 /// The moduli are those along warp and weft (wales and courses of a knit) at small strains and curvatures. Real fabrics stiffen when
 /// they are stretched, soften or stiffen when they are bent, and keep some of both; none of that is in them.
@@ -21,6 +21,8 @@ pub struct Fabric {
     pub moduli: Moduli,
     /// Where the numbers come from.
     pub source: &'static str,
+    /// The least and the greatest of its drape coefficients that were published, with 1 for a plate (Cusick 1968).
+    pub published_drape_coefficients: Option<[f64; 2]>,
 }
 
 /// Ten fabrics that Wang, Ramamoorthi and O'Brien measured, from the database of their paper.
@@ -52,7 +54,75 @@ const fn measured(
             bend: [2.0 * bending[0] / bend, 2.0 * bending[1] / bend],
         },
     };
-    Fabric { name, description, areal_mass_kg_m2, moduli, source: WANG }
+    let published_drape_coefficients = None;
+    Fabric { name, description, areal_mass_kg_m2, moduli, source: WANG, published_drape_coefficients }
+}
+
+/// Moduli of cloths under tension \[Pa\], along warp, weft and at 45 degrees, and their thickness \[m\].
+struct Tension {
+    moduli: [f64; 3],
+    thickness: f64,
+}
+
+// Penava et al. 2014, plain weaves of 150, 235 and 165 g/m^2, as the code of "Codimensional Incremental Potential Contact" (M. Li,
+// D. M. Kaufman, C. Jiang 2021) lists them: the modulus at 45 degrees, and how many times more it has along the threads.
+const OF_COTTON: Tension =
+    Tension { moduli: [0.821e6 * 15.147, 0.821e6 * 39.658, 0.821e6], thickness: 0.318e-3 };
+const OF_WOOL: Tension =
+    Tension { moduli: [0.170e6 * 47.935, 0.170e6 * 128.588, 0.170e6], thickness: 0.568e-3 };
+const OF_POLYESTER: Tension =
+    Tension { moduli: [0.478e6 * 24.423, 0.478e6 * 10.778, 0.478e6], thickness: 0.252e-3 };
+
+const MATSUDAIRA: &str = "M. Matsudaira, T. Masuda, M. Wada, H. Yokura, Shape Factor of Flared Skirts Compared with That of Circular Fabrics, \
+     J. Text. Eng. 61(6), 69, 2015: mass, bending, drape coefficient; stretch and shear are those of another plain weave of the same fibre, \
+     Z. Penava, D. Simic Penava, Z. Knezic, Determination of the Elastic Constants of Plain Woven Fabrics by a Tensile Test in Various \
+     Directions, Fibres Text. East. Eur. 22(2), 57, 2014";
+
+/// A fabric that bends with `bending` [gf cm^2/cm], the mean of both directions in Kawabata's test, with its published drape coefficient.
+/// Tension at 45 degrees to the threads shears a cloth, so its modulus there, E, has `4 / E = 1 / E_warp + 1 / E_weft + 1 / G`, but for
+/// Poisson's ratios, which are small beside the rest.
+const fn draped(
+    name: &'static str,
+    description: &'static str,
+    areal_mass_kg_m2: f64,
+    bending: f64,
+    Tension { moduli: [warp, weft, diagonal], thickness }: Tension,
+    published: f64,
+) -> Fabric {
+    let stretch = (warp + weft) / 2.0;
+    let moduli = Moduli {
+        stretch_modulus: stretch * thickness,
+        shear_modulus: thickness / (4.0 / diagonal - 1.0 / warp - 1.0 / weft),
+        bending_stiffness: 9.80665e-5 * bending,
+        weave: Weave { stretch: [warp / stretch, weft / stretch], bend: [1.0, 1.0] },
+    };
+    let published_drape_coefficients = Some([published, published]);
+    Fabric { name, description, areal_mass_kg_m2, moduli, source: MATSUDAIRA, published_drape_coefficients }
+}
+
+const CLYDE: &str = "D. Clyde, J. Teran, R. Tamstorf, Modeling and Data-Driven Parameter Estimation for Woven Fabrics, SCA 2017: mass, \
+     thickness and moduli at small strains; bends as a sheet of that thickness";
+
+/// A fabric with the energy `a11 e11^2 / 2 + a12 e11 e22 + a22 e22^2 / 2 + G12 e12^2` per volume, and `[a11, a12, a22, G12]` in Pa. A strip
+/// that is free to contract has Young's moduli `a11 - a12^2 / a22` and `a22 - a12^2 / a11`; bent to a cylinder the sheet has `a11 t^3 / 12`
+/// and `a22 t^3 / 12`. Since e12 is half the angle of shear, the shear modulus is `G12 / 2`.
+const fn orthotropic(
+    name: &'static str,
+    description: &'static str,
+    areal_mass_kg_m2: f64,
+    thickness_m: f64,
+    [a11, a12, a22, g12]: [f64; 4],
+) -> Fabric {
+    let (warp, weft) = (a11 - a12 * a12 / a22, a22 - a12 * a12 / a11);
+    let (stretch, bend) = ((warp + weft) / 2.0, (a11 + a22) / 2.0);
+    let moduli = Moduli {
+        stretch_modulus: stretch * thickness_m,
+        shear_modulus: g12 / 2.0 * thickness_m,
+        bending_stiffness: bend * thickness_m * thickness_m * thickness_m / 12.0,
+        weave: Weave { stretch: [warp / stretch, weft / stretch], bend: [a11 / bend, a22 / bend] },
+    };
+    let published_drape_coefficients = None;
+    Fabric { name, description, areal_mass_kg_m2, moduli, source: CLYDE, published_drape_coefficients }
 }
 
 const MATWEB: &str = "MatWeb, Natural Rubber, Vulcanized (NR, IR, Polyisoprene): density and shear modulus; as a sheet of half a \
@@ -74,8 +144,14 @@ const fn homogeneous(
         bending_stiffness: shear * thickness_m * thickness_m * thickness_m / 3.0,
         weave: Weave { stretch: [1.0, 1.0], bend: [1.0, 1.0] },
     };
-    Fabric { name, description, areal_mass_kg_m2: density * thickness_m, moduli, source }
+    let published_drape_coefficients = None;
+    let areal_mass_kg_m2 = density * thickness_m;
+    Fabric { name, description, areal_mass_kg_m2, moduli, source, published_drape_coefficients }
 }
+
+const MEMON: &str = "H. Memon, E. B. Chaklie, H. M. Yesuf, C. Zhu, Study on Effect of Leather Rigidity and Thickness on Drapability of Sheep \
+     Garment Leather, Materials 14(16), 4553, 2021: thickness and drape coefficient of four leathers, of which this is the middle; with the \
+     density of furniture leather and, as a sheet of one material, the stiffness that drapes so";
 
 // Names of the files are in brackets.
 const ALL: &[Fabric] = &[
@@ -159,6 +235,23 @@ const ALL: &[Fabric] = &[
         [151.503906, 244.830673, 30.250183],
         [117.070122e-6, 59.774277e-6],
     ),
+    draped("cotton", "broadcloth, cotton", 0.1238, 0.118, OF_COTTON, 0.829),
+    draped("wool", "tropical, light plain weave of suits, wool", 0.1629, 0.067, OF_WOOL, 0.498),
+    draped(
+        "polyester",
+        "tropical, light plain weave of suits, polyester",
+        0.1165,
+        0.077,
+        OF_POLYESTER,
+        0.507,
+    ),
+    draped("faille", "faille, fine ribbed weave, polyester", 0.1043, 0.019, OF_POLYESTER, 0.283),
+    orthotropic("silk", "charmeuse, satin weave, silk", 0.083, 0.18e-3, [4.3e6, 4.971e6, 9.942e6, 0.57e6]),
+    orthotropic("canvas", "canvas, cotton", 0.294, 0.53e-3, [5.366e6, 2.683e6, 19.804e6, 2.009e6]),
+    Fabric {
+        published_drape_coefficients: Some([0.4735, 0.699]),
+        ..homogeneous("leather", "sheep leather of garments, 0.8 mm", MEMON, 0.8e-3, [650.0, 0.24e6])
+    },
     homogeneous("rubber", "sheet of vulcanised natural rubber, 0.5 mm", MATWEB, 0.5e-3, [950.0, 0.5e6]),
 ];
 

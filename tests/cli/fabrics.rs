@@ -14,6 +14,10 @@ fn fabrics_are_listed() {
         assert!(line.starts_with(fabric.name) && line.ends_with(fabric.description), "{line}");
         assert_eq!((&value["name"], &value["source"]), (&fabric.name.into(), &fabric.source.into()));
         assert_eq!(value["material"]["shear_modulus"], fabric.moduli.shear_modulus);
+        assert_eq!(
+            value["published_drape_coefficients"],
+            serde_json::json!(fabric.published_drape_coefficients)
+        );
     }
     refused_cleanly(folder.path(), &["fabrics", "denin"], &["unknown fabric 'denin' (did you mean denim"]);
 }
@@ -30,6 +34,9 @@ fn a_fabric_is_measured() {
     assert_eq!(measured["drape_coefficients"].as_array().unwrap().len(), 2);
     assert!((0.3..0.9).contains(&measured["drape_coefficient"].as_f64().unwrap()), "{measured}");
     assert_eq!(measured["at_rest"], true);
+    let (line, _) =
+        done(fnopt(folder.path(), &["fabrics", "wool", "--measure", "--grid", "16", "--times", "1"]));
+    assert!(line.trim_end().ends_with(", published 49.8 %"), "{line}");
     refused_cleanly(folder.path(), &["fabrics", "--measure", "--grid", "4"], &["--grid", "16..=256"]);
 }
 
