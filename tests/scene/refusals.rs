@@ -105,7 +105,7 @@ fn wrong_scenes_are_refused_with_the_place_and_what_was_expected() {
         (r#"{"pressure": 1}"#, &["unknown field 'pressure'", "gravity"]),
         (r#"{"substeps": 4}"#, &["unknown field 'substeps'", "frame_time_s"]),
         (r#"{"fps": 60}"#, &["unknown field 'fps'", "frame_time_s"]),
-        (r#"{"material": "silk"}"#, &["unknown material 'silk'", "paper"]),
+        (r#"{"material": "plastic"}"#, &["unknown material 'plastic'", "paper"]),
         ("{\n  // a sheet\n}", &["line 2, column 3", "a comment, which JSON does not have"]),
         (r#"{"motion": "xy_v3"}"#, &["unknown motion 'xy_v3'", "xy_v2"]),
         (r#"{"handles": "corner"}"#, &["unknown handle placement", "corners"]),
