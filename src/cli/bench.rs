@@ -127,7 +127,7 @@ struct Failure {
 }
 
 /// Parses a number of cloths.
-fn batch(text: &str) -> std::result::Result<u32, String> {
+pub fn batch(text: &str) -> std::result::Result<u32, String> {
     let batch = text.trim().parse().ok().filter(|batch| (1..=4096).contains(batch));
     batch.ok_or_else(|| "expected a whole number, 1 to 4096".into())
 }

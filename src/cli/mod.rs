@@ -9,6 +9,7 @@ mod fit_material;
 mod inspect;
 mod material;
 pub mod output;
+mod predict;
 mod rollout;
 mod rollout_against;
 mod rollout_end;
@@ -116,6 +117,8 @@ enum Command {
     Inspect(inspect::Args),
     /// Time frames, kernels and command recording
     Bench(bench::Args),
+    /// Say how long frames would take on some cards, by a model of their kernels
+    Predict(predict::Args),
     /// Find and store the fastest tile sizes for this machine's adapter
     Tune(tune::Args),
 }
@@ -221,6 +224,7 @@ pub fn run(cli: Cli) -> ExitCode {
         Command::Doctor(args) => doctor::run(&args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Bench(args) => bench::run(&args),
+        Command::Predict(args) => predict::run(&args),
         Command::Tune(args) => tune::run(&args),
     };
     if stores {

@@ -141,7 +141,7 @@ pub(super) struct Program {
     pub name: &'static str,
     pub layout: wgpu::BindGroupLayout,
     source: wgpu::ShaderSource<'static>,
-    constants: Vec<(&'static str, f64)>,
+    pub constants: Vec<(&'static str, f64)>,
     /// The pipeline, or why it failed to compile, which is reported to everyone who waits for it.
     pipeline: OnceLock<Result<wgpu::ComputePipeline, String>>,
 }
@@ -216,6 +216,14 @@ impl Kernel {
 }
 
 impl Program {
+    /// Returns what was parsed, `None` in a browser, which gets the text.
+    pub fn module(&self) -> Option<&naga::Module> {
+        match &self.source {
+            wgpu::ShaderSource::Naga(module) => Some(module),
+            _ => None,
+        }
+    }
+
     /// Returns the pipeline, compiling it on first use. Fails if it does not compile.
     pub fn pipeline(&self, context: &Context) -> Result<&wgpu::ComputePipeline> {
         // Checked on the thread that compiles it: other threads do not see its errors.

@@ -4,11 +4,13 @@
 //! buffer or texture. `Source` is a kernel's WGSL, unrolled to suit an adapter. `Kernel` is its entry
 //! point, compiled on first use and shared by all solvers of a context. [`Tuning`] holds the tile sizes that
 //! suit an adapter. [`Schedule`] is a list of dispatches with everything bound. [`Readback`] brings results
-//! to the host without stalling the queue. [`Profile`] times dispatches if the adapter has timestamps.
+//! to the host without stalling the queue. [`Profile`] times dispatches if the adapter has timestamps; [`Schedule::work`] counts what they do,
+//! and a [`Card`] says how long that would take it.
 //! Compiled pipelines outlast the process if the adapter has a pipeline cache
 //! ([`Context::with_stored_pipelines`]).
 
 mod cache;
+mod card;
 mod context;
 mod kernel;
 mod order;
@@ -20,8 +22,10 @@ mod template;
 mod tensor;
 mod tuning;
 mod wide;
+mod work;
 
 pub(crate) use cache::CACHE_FOLDER;
+pub use card::{Bound, CARDS, Card};
 pub use context::{AdapterChoice, AdapterKind, AdapterSummary, Context, WHERE_ADAPTERS_COME_FROM, adapters};
 pub(crate) use context::{WORKGROUP_INVOCATIONS, WORKGROUPS};
 pub(crate) use kernel::Kernel;
@@ -34,3 +38,4 @@ pub use template::Sharing;
 pub(crate) use template::{LANES, Source, Unroll};
 pub use tensor::Tensor;
 pub use tuning::Tuning;
+pub use work::Work;

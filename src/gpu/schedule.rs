@@ -2,7 +2,8 @@
 
 use super::kernel::Program;
 use super::tensor::Memory;
-use super::{Context, Kernel, Profile, Tensor};
+use super::work::{Walked, work};
+use super::{Card, Context, Kernel, Profile, Tensor, Work};
 use crate::{Error, Result};
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -58,13 +59,15 @@ struct Dispatch {
     bind_group: wgpu::BindGroup,
     /// Offset of its parameters in their buffer.
     params: u32,
+    /// The parameters.
+    bytes: Box<[u8]>,
     groups: [u32; 3],
 }
 
 impl Dispatch {
     /// Records it, compiling its kernel if [`Schedule::finish`] has not. Panics if that fails.
     fn record(&self, pass: &mut wgpu::ComputePass<'_>, context: &Context) {
-        let Self { program, bind_group, params, groups: [x, y, z] } = self;
+        let Self { program, bind_group, params, groups: [x, y, z], .. } = self;
         pass.set_pipeline(program.pipeline(context).unwrap_or_else(|e| panic!("{}.wgsl: {e}", program.name)));
         pass.set_bind_group(0, bind_group, &[*params]);
         pass.dispatch_workgroups(*x, *y, *z);
@@ -134,7 +137,7 @@ impl Schedule {
         };
         let group = || Self::bind(context, program, (&uniforms, bytes.len()), tensors);
         let bind_group = self.bound.entry(bound).or_insert_with(group).clone();
-        let dispatch = Dispatch { program: program.clone(), bind_group, params, groups };
+        let dispatch = Dispatch { program: program.clone(), bind_group, params, bytes: bytes.into(), groups };
         self.steps.push(Step::Dispatch(dispatch));
     }
 
@@ -202,6 +205,24 @@ impl Schedule {
             }
         }
         names
+    }
+
+    /// Returns the kernel and the work of each dispatch, in order, in cycles of `card`; see [`Card::seconds`]. Empty in a browser.
+    pub fn work(&self, card: &Card) -> Vec<(&'static str, Work)> {
+        // Most dispatches of a frame are repeated in each iteration.
+        let mut known: HashMap<(*const Program, &[u8], [u32; 3]), Work> = HashMap::new();
+        let mut all = Vec::new();
+        for step in &self.steps {
+            let Step::Dispatch(Dispatch { program, bytes, groups, .. }) = step else { continue };
+            let Some(module) = program.module() else { continue };
+            let walk = || {
+                let walked = Walked { module, constants: &program.constants, params: bytes, groups: *groups };
+                work(&walked, card.latencies())
+            };
+            let key = (Arc::as_ptr(program), &**bytes, *groups);
+            all.push((program.name, *known.entry(key).or_insert_with(walk)));
+        }
+        all
     }
 
     /// Returns the dispatches of one kernel alone, to measure it.

@@ -1,7 +1,7 @@
 //! Adapters: tunings, the pipeline cache, half precision, and solvers that exist only on the CPU. GPU tests
 //! run on the software adapter, which the test suite needs anyway.
 
-use super::command::{command, copy_golden, done, evaluate, fnopt, json, quiet, text};
+use super::command::{command, copy_golden, done, evaluate, fnopt, json, quiet, refused_cleanly, text};
 use std::path::Path;
 
 /// Holds whether or not there is a GPU that `auto` would take.
@@ -179,4 +179,32 @@ fn solvers_that_only_the_cpu_has_run_there() {
     done(quiet(folder.path(), &[&suite[..], &gpu].concat()).output().unwrap());
     let scores = json(&folder.path().join("s.json"));
     assert!(scores[0]["made_with"]["device"].as_str().unwrap().starts_with("cpu"), "{scores}");
+}
+
+#[test]
+fn frames_are_predicted_for_cards_that_are_not_here() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = |arguments: &[&str]| {
+        let arguments = [&["predict", "--adapter", "llvmpipe"], arguments].concat();
+        let output = command(folder.path(), &arguments).output().expect("the command starts");
+        assert_eq!(output.status.code(), Some(0), "{arguments:?}: {}", text(&output.stderr));
+        text(&output.stdout)
+    };
+    let rows = run(&["--grid", "32,64", "--solver", "spectral:3", "--json"]);
+    let rows: Vec<serde_json::Value> = serde_json::from_str(&rows).unwrap();
+    let of = |row: &serde_json::Value, field: &str| row[field].as_f64().unwrap();
+    let mut before = 0.0;
+    for row in rows.iter().filter(|row| row["card"] == "H100") {
+        let bounds = row["ms_bounds"].as_object().unwrap().values();
+        let sum: f64 = bounds.map(|ms| ms.as_f64().unwrap()).sum::<f64>() + of(row, "ms_gaps");
+        assert!((sum / of(row, "ms_per_frame") - 1.0).abs() < 1e-9, "{row}");
+        assert!(of(row, "ms_per_frame") > before, "{rows:?}");
+        before = of(row, "ms_per_frame");
+        assert_eq!(row["iterations"], 3);
+    }
+    assert!(rows.len() == 8 && (0.1..1.0).contains(&before), "{rows:?}");
+    let lines = run(&["--grid", "16", "--batch", "2", "--solver", "gd", "--iterations", "2"]);
+    assert!(lines.starts_with("gd:2 16x16 batch 2  RTX 4090"), "{lines}");
+    refused_cleanly(folder.path(), &["predict", "--grid", "4"], &["--grid", "8 to 4096"]);
+    refused_cleanly(folder.path(), &["predict", "--solver", "newton"], &["newton"]);
 }
