@@ -7,7 +7,7 @@ AMD's compiler in Mesa's Vulkan driver works without a device (RADV_FORCE_FAMILY
 frames and of a training step there, over a layer that completes submissions without running them (layer.c). Families of
 NVIDIA, such as sm_90, take the same kernels through CUDA's assembler (nvidia.py). Fails if a kernel is refused, or if it
 spills more, keeps more in scratch memory or has fewer waves than compilers.csv says, which --write replaces; what was not
-there may not spill. Needs gcc, the headers of Vulkan's loader and Mesa's drivers (Debian: gcc libvulkan-dev
+there may not spill. Frames that `fnopt predict` finds slower than predicted.csv says fail, too. Needs gcc, the headers of Vulkan's loader and Mesa's drivers (Debian: gcc libvulkan-dev
 mesa-vulkan-drivers).
 """
 
@@ -26,6 +26,7 @@ import nvidia
 
 HERE = pathlib.Path(__file__).resolve().parent
 TABLE = HERE / "compilers.csv"
+PREDICTED = HERE / "predicted.csv"
 COLUMNS = ["family", "kernel", "workgroup", "lds_bytes", "vgprs", "waves", "spilled", "scratch_bytes", "instructions", "latency_cycles", "cases"]
 # Its own kernels validate indirect dispatches, which nobody here uses.
 OF_WGPU = {"main"}
@@ -68,14 +69,14 @@ def find_program():
     return pathlib.Path(json.loads(metadata.stdout)["target_directory"]) / "release" / "fnopt"
 
 
-def compiled(program, family, folder):
-    """Returns what the compiler says of each pipeline, with the case that built it."""
+def environment_of(family, folder):
+    """Returns the environment in which the program finds a device of the family, with its own folder."""
     drivers = glob.glob("/usr/share/vulkan/icd.d/radeon_icd*.json")
     if not drivers:
         sys.exit("no driver: Mesa's radeon_icd is missing")
     own = folder / family
-    own.mkdir()
-    environment = {
+    own.mkdir(exist_ok=True)
+    return own, {
         **os.environ,
         "VK_DRIVER_FILES": drivers[0],
         "VK_ICD_FILENAMES": drivers[0],
@@ -86,6 +87,11 @@ def compiled(program, family, folder):
         "FNOPT_CACHE": str(own / "cache"),
         "RADV_FORCE_FAMILY": ANY if family in nvidia.FAMILIES else family,
     }
+
+
+def compiled(program, family, folder):
+    """Returns what the compiler says of each pipeline, with the case that built it."""
+    own, environment = environment_of(family, folder)
     modules = own / "modules"
     if family in nvidia.FAMILIES:
         modules.mkdir()
@@ -142,11 +148,23 @@ def regressions(row, before):
         yield f"{name}: waves {row['waves']}, not {before['waves']}"
 
 
+def predicted(program, folder):
+    """Returns the milliseconds of frames by solver, grid and card, with the tile sizes of hardware."""
+    own, environment = environment_of(ANY, folder)
+    sizes = ["--grid", "32,64,100", "--solver", "fnopt:10,spectral:10"]
+    environment["STATISTICS"] = os.devnull
+    run = subprocess.run([program, "predict", *sizes, "--json"], cwd=own, env=environment, capture_output=True, text=True)
+    if run.returncode:
+        sys.exit(f"predict: exit {run.returncode}\n{run.stderr}")
+    rows = json.loads(run.stdout)
+    return {(r["solver"], r["grid"], r["card"]): (r["dispatches"], r["ms_gaps"], r["ms_per_frame"]) for r in rows}
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--families", default="vega10,gfx1100", help="names of RADV_FORCE_FAMILY")
     parser.add_argument("--program", type=pathlib.Path, help="a built fnopt [default: that of the release profile]")
-    parser.add_argument("--write", action="store_true", help="replace the families' rows in compilers.csv")
+    parser.add_argument("--write", action="store_true", help="replace the families' rows in compilers.csv, and predicted.csv")
     arguments = parser.parse_args()
     program = (arguments.program or find_program()).resolve()
 
@@ -172,7 +190,17 @@ def main():
             spilling = [f"{row['kernel']} {row['workgroup']}" for row in of_family if row["spilled"] or row["scratch_bytes"]]
             print(f"{family}: {len(pipelines)} pipelines, {len(of_family)} kernels and workgroups; spill: {', '.join(spilling) or 'none'}")
             new += of_family
+        frames = predicted(program, folder)
+    predictions = list(csv.DictReader(PREDICTED.open())) if PREDICTED.exists() else []
+    for row in predictions:
+        _, _, ms = frames[row["solver"], row["grid"], row["card"]]
+        if ms > 1.01 * float(row["ms_per_frame"]):
+            wrong.append(f"{row['solver']} {row['grid']} on {row['card']}: {ms:.3f} ms a frame predicted, not {row['ms_per_frame']}")
     if arguments.write:
+        with PREDICTED.open("w", newline="") as file:
+            table = csv.writer(file, lineterminator="\n")
+            table.writerow(["solver", "grid", "card", "dispatches", "ms_gaps", "ms_per_frame"])
+            table.writerows([*key, count, f"{gaps:.3f}", f"{ms:.3f}"] for key, (count, gaps, ms) in frames.items())
         kept = [row for row in known if row["family"] not in arguments.families.split(",")]
         with TABLE.open("w", newline="") as file:
             table = csv.DictWriter(file, COLUMNS, lineterminator="\n")

@@ -1,6 +1,6 @@
 // Cosine transform along the rows of what a step across the surface of a sheet leaves to be done along it.
 //
-// With the step across d = -y'_3 normal at free particles and 0 elsewhere, where y' is y less what the handles' reactions take back,
+// With the step across d = -y_3 normal at free particles and 0 elsewhere,
 //   rest = grad + sum over edges e at the particle of e (e . (d - d')), d' being the step at the other end,
 //   out[f, i, l] = sum_j table[l, j] field_f[i, j],
 // where field 0 is the product of rest with t1 and field 1 that with t2, both 0 where no free particle is.
@@ -10,8 +10,6 @@
 // axes: [B, 16, H, W] = t1, t2, the normal, near, the edge down, the edge to the right (`sheet_axes`)
 // table: [W, W], the orthonormal DCT-II
 // y: [B, 6, H, W], whose field 3 came back from a transform (`cosine_back`)
-// handles: [B, K], the handles that react, past the last one NONE
-// reactions: [B, K, 4, H, W], in space, along t1 and t2, and across
 // out: [B, 2, H, W]
 //
 // One invocation per four columns of a row, both fields. Workgroups: (W / 32, H / 8, B).
@@ -20,7 +18,6 @@
 struct Params {
     rows: u32, // H
     columns: u32, // W
-    room: u32, // K
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -29,9 +26,7 @@ struct Params {
 @group(0) @binding(3) var<storage, read> axes: array<f32>;
 @group(0) @binding(4) var<storage, read> table: array<f32>;
 @group(0) @binding(5) var<storage, read> y: array<f32>;
-@group(0) @binding(6) var<storage, read> handles: array<u32>;
-@group(0) @binding(7) var<storage, read> reactions: array<f32>;
-@group(0) @binding(8) var<storage, read_write> out: array<f32>;
+@group(0) @binding(6) var<storage, read_write> out: array<f32>;
 
 // Steps across at the particles that are multiplied at once and at those around them.
 const BESIDE: u32 = DEPTH + 2u;
@@ -45,16 +40,15 @@ fn axis(b: u32, first: u32, p: u32) -> vec3f {
 }
 
 // Returns the step across at the particle in the row after i and the column after j, counted from one before the first; 0 where none is free.
+// All is loaded before it is known whether it counts, so that loads don't wait for each other.
 fn step_across(b: u32, after_i: u32, after_j: u32) -> vec3f {
-    if after_i == 0u || after_i > params.rows || after_j == 0u || after_j > params.columns {
-        return vec3f();
-    }
     let n = params.rows * params.columns;
-    let p = (after_i - 1u) * params.columns + after_j - 1u;
-    if !is_free(marks[b * n + p]) {
-        return vec3f();
-    }
-    return -reacted(b, 3u, 3u, p, n) * axis(b, 6u, p);
+    let i = clamp(after_i, 1u, params.rows) - 1u;
+    let j = clamp(after_j, 1u, params.columns) - 1u;
+    let p = i * params.columns + j;
+    let step = -y[(6u * b + 3u) * n + p] * axis(b, 6u, p);
+    let exists = i + 1u == after_i && j + 1u == after_j;
+    return select(vec3f(), step, exists && is_free(marks[b * n + p]));
 }
 
 // Returns the force of an edge that begins at p, for the difference of the steps at its ends.
@@ -68,8 +62,9 @@ fn load_particle(b: u32, i: u32, j: u32, own: u32, place: u32) {
     let n = params.rows * params.columns;
     let p = i * params.columns + j;
     var of_particle = vec4f();
-    if i < params.rows && j < params.columns && is_free(marks[b * n + p]) {
+    if i < params.rows && j < params.columns {
         let at = b * 3u * n + p;
+        let mark = marks[b * n + p];
         var rest = vec3f(grad[at], grad[at + n], grad[at + 2u * n]);
         let d = steps[own];
         if i > 0u {
@@ -84,7 +79,8 @@ fn load_particle(b: u32, i: u32, j: u32, own: u32, place: u32) {
         if j + 1u < params.columns {
             rest += answer(b, 13u, p, d - steps[own + 1u]);
         }
-        of_particle = vec4f(dot(axis(b, 0u, p), rest), dot(axis(b, 3u, p), rest), 0.0, 0.0);
+        let along = vec4f(dot(axis(b, 0u, p), rest), dot(axis(b, 3u, p), rest), 0.0, 0.0);
+        of_particle = select(vec4f(), along, is_free(mark));
     }
     fields[place] = of_particle;
 }

@@ -24,18 +24,20 @@ struct Params {
 @group(0) @binding(4) var<storage, read> table: array<f32>;
 @group(0) @binding(5) var<storage, read_write> out: array<f32>;
 
-// Returns the fields of a particle, 0 if there is none.
+// Returns the fields of a particle, 0 if there is none that is free. All is loaded before that is known, so that loads don't wait for each
+// other.
 fn particle(b: u32, i: u32, j: u32) -> vec4f {
     let n = params.rows * params.columns;
-    let p = i * params.columns + j;
-    if i >= params.rows || j >= params.columns || !is_free(marks[b * n + p]) {
+    if i >= params.rows || j >= params.columns {
         return vec4f();
     }
+    let p = i * params.columns + j;
     let at = b * 3u * n + p;
     let normal = (16u * b + 6u) * n + p;
     let v = vec3f(forces[at], forces[at + n], forces[at + 2u * n]);
     let across = dot(vec3f(axes[normal], axes[normal + n], axes[normal + 2u * n]), v);
-    return vec4f(axes[normal + 3u * n] * v, across);
+    let near = axes[normal + 3u * n];
+    return select(vec4f(), vec4f(near * v, across), is_free(marks[b * n + p]));
 }
 
 @compute @workgroup_size(64)

@@ -64,7 +64,6 @@ pub(crate) mod pieces {
     pub const POSITION_FORCE: &str = include_str!("../../shaders/pieces/position_force.wgsl");
     pub const PRODUCTS: &str = include_str!("../../shaders/pieces/products.wgsl");
     pub const PRODUCTS_PART: &str = include_str!("../../shaders/pieces/products_part.wgsl");
-    pub const REACTING: &str = include_str!("../../shaders/pieces/reacting.wgsl");
     pub const SCALAR_HEAD: &str = include_str!("../../shaders/pieces/scalar_head.wgsl");
     pub const TARGET: &str = include_str!("../../shaders/pieces/target.wgsl");
     pub const TRIAL: &str = include_str!("../../shaders/pieces/trial.wgsl");

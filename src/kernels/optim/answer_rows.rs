@@ -1,6 +1,6 @@
 //! Host side of `shaders/optim/answer_rows.wgsl`.
 
-use super::{Fields, Iterate, Reacting};
+use super::{Fields, Iterate};
 use crate::Result;
 use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
@@ -10,7 +10,7 @@ use crate::kernels::{common, pieces, size};
 pub(crate) const SOURCE: Source = Source {
     name: "answer_rows",
     wgsl: include_str!("../../../shaders/optim/answer_rows.wgsl"),
-    appended: &[common::MARK, pieces::REACTING, pieces::FOUR_FIELDS],
+    appended: &[common::MARK, pieces::FOUR_FIELDS],
 };
 
 #[repr(C)]
@@ -18,7 +18,6 @@ pub(crate) const SOURCE: Source = Source {
 struct Params {
     rows: u32,
     columns: u32,
-    room: u32,
 }
 
 /// Finds what the step across a sheet leaves to be done along it, and transforms its rows.
@@ -39,7 +38,7 @@ impl AnswerRows {
         &self,
         schedule: &mut Schedule,
         grid: Grid,
-        (iterate, axes, reacting): (&Iterate, &Tensor, &Reacting),
+        (iterate, axes): (&Iterate, &Tensor),
         [table, y, z]: [&Tensor; 3],
     ) {
         let (samples, n) = iterate.samples_and_particles();
@@ -47,10 +46,8 @@ impl AnswerRows {
         assert_eq!((n, axes.shape()), (grid.particles(), &[batch, AXES, n][..]));
         assert_eq!((table.shape(), y.shape()), (&[grid.w; 2][..], &Fields::shape_of_all(batch, grid)[..]));
         assert_eq!(z.shape(), Fields::Tangents.shape(batch, grid));
-        let room = reacting.room(batch, n);
-        let params = Params { rows: size(grid.h), columns: size(grid.w), room: size(room) };
-        let Reacting { handles, fields } = reacting;
-        let tensors = [&iterate.grad, &iterate.marks, axes, table, y, handles, fields, z];
+        let params = Params { rows: size(grid.h), columns: size(grid.w) };
+        let tensors = [&iterate.grad, &iterate.marks, axes, table, y, z];
         let groups = [grid.w.div_ceil(32), grid.h.div_ceil(8), batch].map(size);
         schedule.dispatch(&self.kernel, &params, &tensors, groups);
     }

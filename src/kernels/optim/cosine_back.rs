@@ -1,15 +1,16 @@
 //! Host side of `shaders/optim/cosine_back.wgsl`.
 
-use super::Fields;
+use super::{Fields, Iterate, Reacting, directions};
 use crate::Result;
 use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{pieces, size};
+use crate::kernels::cloth::sheet_axes::AXES;
+use crate::kernels::{common, pieces, size};
 
 pub(crate) const SOURCE: Source = Source {
     name: "cosine_back",
     wgsl: include_str!("../../../shaders/optim/cosine_back.wgsl"),
-    appended: &[pieces::FOUR_FIELDS],
+    appended: &[common::MARK, pieces::FOUR_FIELDS],
 };
 
 #[repr(C)]
@@ -17,9 +18,11 @@ pub(crate) const SOURCE: Source = Source {
 struct Params {
     rows: u32,
     columns: u32,
+    room: u32,
+    slot: u32,
 }
 
-/// Transforms the rows of fields back.
+/// Transforms the rows of fields back, where handles hold, and makes steps of them.
 #[derive(Clone, Debug)]
 pub struct CosineBack {
     kernel: Kernel,
@@ -29,19 +32,35 @@ pub struct CosineBack {
 impl CosineBack {
     /// Builds the kernel, whose operands go through workgroup memory if `staged`.
     pub fn new(context: &Context, fields: Fields, staged: bool) -> Result<Self> {
-        let [count, first] = fields.constants();
-        let constants = [count, first, ("STAGED", f64::from(u8::from(staged)))];
+        let [count, _] = fields.constants();
+        let constants = [count, ("STAGED", f64::from(u8::from(staged)))];
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &constants)?, fields })
     }
 
-    /// Sets these fields of `y` ([`Fields::shape_of_all`]) from `z` ([`Fields::shape`]), with [`super::cosine_rows::table`] of W points.
-    pub fn push(&self, schedule: &mut Schedule, grid: Grid, table: &Tensor, [z, y]: [&Tensor; 2]) {
-        let batch = z.shape()[0];
+    /// Transforms `z` ([`Fields::shape`]) with [`super::cosine_rows::table`] of W points. [`Fields::SpaceAndNormal`] set the first four fields of `y`
+    /// ([`Fields::shape_of_all`]). [`Fields::Tangents`] take these to set the spectral and the co-rotated slot of `directions`
+    /// ([`directions::shape`]), with the `axes` [B, 16, n] of the sheet.
+    pub fn push(
+        &self,
+        schedule: &mut Schedule,
+        grid: Grid,
+        (iterate, axes, reacting): (&Iterate, &Tensor, &Reacting),
+        [table, z, y, directions]: [&Tensor; 4],
+    ) {
+        let (samples, n) = iterate.samples_and_particles();
+        let batch = samples / 3;
+        assert_eq!((n, axes.shape()), (grid.particles(), &[batch, AXES, n][..]));
         assert_eq!(z.shape(), self.fields.shape(batch, grid));
-        assert_eq!(y.shape(), Fields::shape_of_all(batch, grid));
-        assert_eq!(table.shape(), [grid.w; 2]);
-        let params = Params { rows: size(grid.h), columns: size(grid.w) };
+        assert_eq!((table.shape(), y.shape()), (&[grid.w; 2][..], &Fields::shape_of_all(batch, grid)[..]));
+        let params = Params {
+            rows: size(grid.h),
+            columns: size(grid.w),
+            room: size(reacting.room(batch, n)),
+            slot: size(directions::slot(directions, iterate)),
+        };
+        let Reacting { handles, fields } = reacting;
+        let tensors = [table, z, &iterate.marks, axes, handles, fields, y, directions];
         let groups = [grid.w.div_ceil(32), grid.h.div_ceil(8), batch].map(size);
-        schedule.dispatch(&self.kernel, &params, &[table, z, y], groups);
+        schedule.dispatch(&self.kernel, &params, &tensors, groups);
     }
 }

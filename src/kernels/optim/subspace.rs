@@ -4,8 +4,8 @@ use super::cosine_columns::squared_frequencies;
 use super::cosine_rows::table;
 use super::subspace_step::STATE;
 use super::{
-    AnswerRows, CosineBack, CosineColumns, CosineRows, Extrapolate, Fields, Reacting, SheetSteps,
-    SubspaceStep, When, directions,
+    AnswerRows, CosineBack, CosineColumns, CosineRows, Extrapolate, Fields, Reacting, SubspaceStep, When,
+    directions,
 };
 use crate::Result;
 use crate::cloth::modes::Reactions;
@@ -32,7 +32,6 @@ pub struct Subspace {
     answer_rows: AnswerRows,
     /// Of the fields in space and across the sheet, and of those along it.
     inverses: [Inverse; 2],
-    steps: SheetSteps,
     step: SubspaceStep,
     /// Cosine matrices along a column and along a row.
     tables: [Tensor; 2],
@@ -43,7 +42,7 @@ pub struct Subspace {
     reacting: Reacting,
     /// Four fields whose rows are transformed, shape [B, 4, H, W].
     z: Tensor,
-    /// What comes back, of the fields in space, across the sheet and along it, shape [B, 6, H, W].
+    /// What comes back, of the fields in space and across the sheet, and space for those along it, shape [B, 6, H, W].
     y: Tensor,
     /// Shape [K, slot].
     directions: Tensor,
@@ -93,7 +92,6 @@ impl Subspace {
                 Inverse::new(context, Fields::SpaceAndNormal, grid, staged)?,
                 Inverse::new(context, Fields::Tangents, grid, staged)?,
             ],
-            steps: SheetSteps::new(context)?,
             step: SubspaceStep::new(context)?,
             tables: [table(context, grid.h)?, table(context, grid.w)?],
             mu: squared_frequencies(context, grid)?,
@@ -147,30 +145,29 @@ impl Subspace {
         self.reacting.write(context, model);
     }
 
-    /// Moves the iterate, which was evaluated, by the step of `iteration`, counted from 0. Nine dispatches, and
+    /// Moves the iterate, which was evaluated, by the step of `iteration`, counted from 0. Eight dispatches, and
     /// another with a repulsion, and two with bodies.
     pub fn push(&self, schedule: &mut Schedule, objective: &Objective, iteration: usize) {
         assert!(iteration < self.iterations, "iteration {iteration} of {}", self.iterations);
         let (grid, iterate) = (objective.grid(), &objective.iterate);
-        let Self { axes, directions, reacting, z, y, tables: [_, along_row], .. } = self;
+        let Self { axes, directions, z, y, tables: [_, along_row], .. } = self;
         let [space_and_normal, tangents] = &self.inverses;
-        let of_sheet = (iterate, axes, reacting);
         self.rows.push(schedule, grid, (iterate, axes), [along_row, z]);
         self.apply(schedule, objective, space_and_normal, z);
         let z = z.view(0, &tangents.fields.shape(objective.batch(), grid));
-        self.answer_rows.push(schedule, grid, of_sheet, [along_row, y, &z]);
+        self.answer_rows.push(schedule, grid, (iterate, axes), [along_row, y, &z]);
         self.apply(schedule, objective, tangents, &z);
-        self.steps.push(schedule, grid, of_sheet, [y, directions]);
         objective.local_model(schedule, directions, &self.parts);
         self.decide(schedule, objective, When::Iteration(iteration));
         objective.confine(schedule, Some(directions));
     }
 
-    /// Multiplies fields by their inverse Hessian, from `z`, whose rows are transformed, to `y`. Two dispatches.
+    /// Multiplies fields by their inverse Hessian, from `z`, whose rows are transformed, to `y`, or on to the directions. Two dispatches.
     fn apply(&self, schedule: &mut Schedule, objective: &Objective, inverse: &Inverse, z: &Tensor) {
-        let (grid, [along_column, along_row]) = (objective.grid(), &self.tables);
-        inverse.columns.push(schedule, (objective.cloths(), along_column, &self.mu), [z, &self.y]);
-        inverse.back.push(schedule, grid, along_row, [z, &self.y]);
+        let Self { axes, reacting, y, directions, tables: [along_column, along_row], .. } = self;
+        inverse.columns.push(schedule, (objective.cloths(), along_column, &self.mu), [z, y]);
+        let of_sheet = (&objective.iterate, axes, reacting);
+        inverse.back.push(schedule, objective.grid(), of_sheet, [along_row, z, y, directions]);
     }
 
     /// Ends a frame: takes the last step back if it has increased the energy. Two dispatches, without a repulsion.

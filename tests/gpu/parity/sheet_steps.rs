@@ -1,4 +1,4 @@
-//! The transforms and steps of a sheet together (`cosine_rows`, `answer_rows`, `cosine_columns`, `cosine_back` and `sheet_steps`)
+//! The transforms and steps of a sheet together (`cosine_rows`, `answer_rows`, `cosine_columns` and `cosine_back`)
 //! against the CPU path in double precision, and against dense sums.
 
 use super::cloth::{constants, field, iterate, model};
@@ -10,7 +10,7 @@ use fnopt::kernels::cloth::sheet_axes::AXES;
 use fnopt::kernels::optim::cosine_columns::squared_frequencies;
 use fnopt::kernels::optim::cosine_rows::table;
 use fnopt::kernels::optim::{
-    self as kernels, AnswerRows, CosineBack, CosineColumns, CosineRows, Fields, Reacting, directions,
+    AnswerRows, CosineBack, CosineColumns, CosineRows, Fields, Reacting, directions,
 };
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -98,6 +98,11 @@ impl Given {
     }
 }
 
+/// Returns the values at free particles, and 0 elsewhere.
+fn masked(values: &[f64], free: &[bool]) -> Vec<f64> {
+    values.iter().zip(free).map(|(&value, &free)| if free { value } else { 0.0 }).collect()
+}
+
 #[test]
 fn transforms_match_dense_sums() {
     let _turn = device();
@@ -140,11 +145,23 @@ fn transforms_match_dense_sums() {
             } else {
                 z.write(context(), &of_rows.iter().map(|&v| v as f32).collect::<Vec<_>>());
             }
+            // No handle reacts. Of the tangents only steps are written, so these are the first two axes of the world, and the normal is 0.
+            let reacting = Reacting::new(context(), 1, (grid, batch)).unwrap();
+            let all = poisoned("directions", &directions::shape(3, batch, grid));
+            let axis = |k: usize| f32::from(u8::from(k / n % AXES == 0 || k / n % AXES == 4));
+            let plain: Vec<f32> = (0..AXES * batch * n).map(axis).collect();
+            let plain = tensor("axes", &[batch, AXES, n], &plain);
+            if fields == Fields::Tangents {
+                y.write(context(), &noise(y.len(), 133));
+            }
             run(|schedule| {
                 columns.push(schedule, (&cloths, &along_column, &mu), [&z, &y]);
-                back.push(schedule, grid, &along_row, [&z, &y]);
+                back.push(schedule, grid, (&iterate, &plain, &reacting), [&along_row, &z, &y, &all]);
             });
-            let found = read(&y);
+            let found = match fields {
+                Fields::SpaceAndNormal => read(&y),
+                Fields::Tangents => read(&directions::one(&all, directions::ROTATED, batch, grid)),
+            };
             for (field, of_cloth) in values
                 .chunks_exact(fields.count())
                 .enumerate()
@@ -152,11 +169,18 @@ fn transforms_match_dense_sums() {
             {
                 let ((b, f), (values, &component)) = (field, of_cloth);
                 let exact = inverse(grid, &given.model, b, component, values);
-                let first = if fields == Fields::Tangents { 4 } else { 0 };
-                let found = &found[(6 * b + first + f) * n..][..n];
+                let (found, exact) = match fields {
+                    Fields::SpaceAndNormal => (found[(6 * b + f) * n..][..n].to_vec(), exact),
+                    Fields::Tangents => {
+                        let found = &found[(3 * b + f) * n..][..n];
+                        let free = given.free(b);
+                        assert!(free.iter().zip(found).all(|(&free, &step)| free || step == 0.0));
+                        (found.iter().map(|step| -step).collect(), masked(&exact, &free))
+                    }
+                };
                 // Low modes are much larger than the others, so that every element has their rounding.
                 let what = format!("{component:?} of cloth {b} of {batch} x {grid}");
-                assert_close(&what, found, &exact, (3e-6 * largest(&exact), 0.0));
+                assert_close(&what, &found, &exact, (3e-6 * largest(&exact), 0.0));
             }
         }
     }
@@ -169,7 +193,6 @@ fn steps_match() {
     let rows = CosineRows::new(context(), false).unwrap();
     let answer_rows = AnswerRows::new(context()).unwrap();
     let back = [space_and_normal, tangents].map(|fields| CosineBack::new(context(), fields, false).unwrap());
-    let sheet_steps = kernels::SheetSteps::new(context()).unwrap();
     for (grid, batch) in grids() {
         let given = Given::new(grid, batch);
         let (model, n) = (&given.model, grid.particles());
@@ -191,12 +214,13 @@ fn steps_match() {
                 let z = poisoned("z", &fields.shape(batch, grid));
                 match fields {
                     Fields::SpaceAndNormal => rows.push(schedule, grid, (&iterate, &axes), [&along_row, &z]),
-                    Fields::Tangents => answer_rows.push(schedule, grid, of_sheet, [&along_row, &y, &z]),
+                    Fields::Tangents => {
+                        answer_rows.push(schedule, grid, (&iterate, &axes), [&along_row, &y, &z]);
+                    }
                 }
                 columns.push(schedule, of_columns, [&z, &y]);
-                back.push(schedule, grid, &along_row, [&z, &y]);
+                back.push(schedule, grid, of_sheet, [&along_row, &z, &y, &all]);
             }
-            sheet_steps.push(schedule, grid, of_sheet, [&y, &all]);
         });
         let (mut spectral, mut rotated) = (vec![], vec![]);
         let mut unheld = [0.0_f64; 2];
