@@ -148,7 +148,7 @@ fn transforms_match_dense_sums() {
             // No handle reacts. Of the tangents only steps are written, so these are the first two axes of the world, and the normal is 0.
             let reacting = Reacting::new(context(), 1, (grid, batch)).unwrap();
             let all = poisoned("directions", &directions::shape(3, batch, grid));
-            let axis = |k: usize| f32::from(u8::from(k / n % AXES == 0 || k / n % AXES == 4));
+            let axis = |k: usize| f32::from(u8::from([0, 4].contains(&(k / n % AXES))));
             let plain: Vec<f32> = (0..AXES * batch * n).map(axis).collect();
             let plain = tensor("axes", &[batch, AXES, n], &plain);
             if fields == Fields::Tangents {
