@@ -90,7 +90,9 @@ fn answer_rows(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id
     let b = group.z;
     let first_row = group.y * 8u;
     let first_column = group.x * 32u;
-    for (var first = 0u; first < params.columns; first += DEPTH) {
+    // Not plainly a parameter (see `cosine_columns`), and the same for the whole workgroup, because of the barriers.
+    let columns = params.columns + (group.z >> 31u);
+    for (var first = 0u; first < columns; first += DEPTH) {
         workgroupBarrier();
         for (var k = lane; k < 10u * BESIDE; k += 64u) {
             steps[k] = step_across(b, first_row + k / BESIDE, first + k % BESIDE);

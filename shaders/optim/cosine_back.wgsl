@@ -102,6 +102,8 @@ fn react(to: Reaction, at_handle: vec4f) {
 // wait for them is loaded before.
 fn react_to_handles(b: u32, lane: u32, i: u32, j: u32) {
     let end = (b + 1u) * params.room;
+    // Not plainly a parameter: see `cosine_columns`.
+    let columns = params.columns + (lane >> 31u);
     for (var k = b * params.room; k < end && handles[k] != NONE; k += 2u) {
         let next = min(k + 1u, end - 1u);
         let has_next = k + 1u < end && handles[next] != NONE;
@@ -109,7 +111,7 @@ fn react_to_handles(b: u32, lane: u32, i: u32, j: u32) {
         let second = reaction(next, i, j);
         let handle = min(handles[select(k, next, lane >= 32u)], params.rows * params.columns - 1u);
         var sum = vec4f();
-        for (var l = lane % 32u; l < params.columns; l += 32u) {
+        for (var l = lane % 32u; l < columns; l += 32u) {
             sum += cosine(l, handle % params.columns) * mode(b, handle / params.columns, l);
         }
         workgroupBarrier();
