@@ -33,13 +33,19 @@ pub struct Args {
     json: bool,
 }
 
-/// What a card would need for a frame.
 #[derive(serde::Serialize)]
 struct Row {
     solver: String,
     grid: String,
     batch: usize,
     iterations: usize,
+    #[serde(flatten)]
+    predicted: Predicted,
+}
+
+/// What a card would need for a frame.
+#[derive(serde::Serialize)]
+struct Predicted {
     card: &'static str,
     dispatches: usize,
     ms_per_frame: f64,
@@ -77,10 +83,11 @@ pub fn run(args: &Args) -> Result<Ending> {
                 let asked = iterations.or(args.iterations.map(|n| n as usize));
                 let iterations = asked.unwrap_or(optimizer.default_iterations());
                 let solver = Solver::new(&context, &setups.model, optimizer, iterations)?;
+                let schedule = solver.schedule();
                 for card in CARDS {
-                    let mut row = predicted(solver.schedule(), card);
-                    (row.solver, row.grid, row.batch) = (name.clone(), grid.to_string(), batch);
-                    row.iterations = iterations;
+                    let (solver, grid) = (name.clone(), grid.to_string());
+                    let predicted = predicted(schedule, card);
+                    let row = Row { solver, grid, batch, iterations, predicted };
                     if !args.json {
                         print(&mut out, &row)?;
                     }
@@ -95,7 +102,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     Ok(Ending::Done)
 }
 
-fn predicted(schedule: &Schedule, card: &Card) -> Row {
+fn predicted(schedule: &Schedule, card: &Card) -> Predicted {
     let work = schedule.work(card);
     let mut bounds = BTreeMap::new();
     let mut kernels: BTreeMap<&str, (f64, usize, (f64, Bound))> = BTreeMap::new();
@@ -117,21 +124,20 @@ fn predicted(schedule: &Schedule, card: &Card) -> Row {
         .map(|(name, (ms, dispatches, (_, bound)))| KernelRow { name, ms, dispatches, bound: bound.name() })
         .collect();
     kernels.sort_by(|a, b| b.ms.total_cmp(&a.ms));
-    let (solver, grid) = (String::new(), String::new());
     let (card, dispatches) = (card.name, work.len());
-    let (batch, iterations, ms_bounds) = (0, 0, bounds);
-    Row { solver, grid, batch, iterations, card, dispatches, ms_per_frame, ms_gaps, ms_bounds, kernels }
+    Predicted { card, dispatches, ms_per_frame, ms_gaps, ms_bounds: bounds, kernels }
 }
 
 fn print(out: &mut impl Write, row: &Row) -> Result<()> {
-    let Row { solver, grid, batch, iterations, card, dispatches, ms_per_frame, ms_gaps, .. } = row;
-    let bounds: Vec<_> = row.ms_bounds.iter().map(|(name, ms)| format!("{name} {ms:.3}")).collect();
+    let Row { solver, grid, batch, iterations, predicted } = row;
+    let Predicted { card, dispatches, ms_per_frame, ms_gaps, ms_bounds, kernels } = predicted;
+    let bounds: Vec<_> = ms_bounds.iter().map(|(name, ms)| format!("{name} {ms:.3}")).collect();
     writeln!(
         out,
         "{solver}:{iterations} {grid} batch {batch}  {card:12}  {ms_per_frame:8.3} ms/frame: {dispatches} gaps {ms_gaps:.3}, {}",
         bounds.join(", ")
     )?;
-    for KernelRow { name, ms, dispatches, bound } in row.kernels.iter().take(6) {
+    for KernelRow { name, ms, dispatches, bound } in kernels.iter().take(6) {
         writeln!(out, "    {name:16} {ms:8.4} ms  {dispatches:3} dispatches, {bound}")?;
     }
     Ok(())

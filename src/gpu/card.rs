@@ -1,6 +1,6 @@
 //! How long a dispatch would take on a card that is not here.
 
-use super::work::{LANES, Latencies, Work};
+use super::work::{Latencies, WARP, Work};
 
 /// A GPU, as the model of [`Card::seconds`] sees it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -21,8 +21,8 @@ pub struct Card {
     pub workgroup_bytes: f64,
     /// Bytes that all processors exchange with the second cache in a cycle.
     pub memory_bytes: f64,
-    /// Cycles until a load from that cache, from workgroup memory and an arithmetic instruction have their results.
-    pub latencies: [f64; 3],
+    /// Cycles until results may be used.
+    pub latencies: Latencies,
     /// Between the end of a dispatch and the begin of the next one, which waits for it \[s\].
     pub gap_s: f64,
 }
@@ -40,7 +40,7 @@ pub const CARDS: &[Card] = &[
         workgroup_memory: 100e3,
         workgroup_bytes: 128.0,
         memory_bytes: 2000.0,
-        latencies: [270.0, 30.0, 4.0],
+        latencies: Latencies { memory: 270.0, workgroup: 30.0, arithmetic: 4.0 },
         gap_s: 1.5e-6,
     },
     Card {
@@ -52,7 +52,7 @@ pub const CARDS: &[Card] = &[
         workgroup_memory: 228e3,
         workgroup_bytes: 128.0,
         memory_bytes: 3000.0,
-        latencies: [260.0, 30.0, 4.0],
+        latencies: Latencies { memory: 260.0, workgroup: 30.0, arithmetic: 4.0 },
         gap_s: 1.5e-6,
     },
     Card {
@@ -64,7 +64,7 @@ pub const CARDS: &[Card] = &[
         workgroup_memory: 64e3,
         workgroup_bytes: 128.0,
         memory_bytes: 1500.0,
-        latencies: [400.0, 60.0, 5.0],
+        latencies: Latencies { memory: 400.0, workgroup: 60.0, arithmetic: 5.0 },
         gap_s: 3e-6,
     },
     Card {
@@ -76,7 +76,7 @@ pub const CARDS: &[Card] = &[
         workgroup_memory: 32e3,
         workgroup_bytes: 64.0,
         memory_bytes: 300.0,
-        latencies: [300.0, 40.0, 4.0],
+        latencies: Latencies { memory: 300.0, workgroup: 40.0, arithmetic: 4.0 },
         gap_s: 3e-6,
     },
 ];
@@ -107,17 +107,12 @@ impl Bound {
 }
 
 impl Card {
-    pub(super) fn latencies(&self) -> Latencies {
-        let [memory, workgroup, arithmetic] = self.latencies;
-        Latencies { memory, workgroup, arithmetic }
-    }
-
     /// Returns the seconds that a dispatch takes, without the gap before it, and what bounds them: the longest of these, as if the others
     /// hid behind it. The chain of an invocation, as often as workgroups must wait for others to end; the instructions, and the bytes of
     /// workgroup memory, of the processor with the most workgroups; and the bytes of all of them.
     pub fn seconds(&self, work: &Work) -> (f64, Bound) {
         let invocations = f64::from(work.invocations);
-        let warps = (invocations / f64::from(LANES)).ceil();
+        let warps = (invocations / f64::from(WARP)).ceil();
         let groups = work.groups as f64;
         let by_memory = (self.workgroup_memory / (work.workgroup_memory as f64).max(1.0)).floor();
         let at_once = (self.warps / warps).floor().min(by_memory).max(1.0);

@@ -38,4 +38,4 @@ pub use template::Sharing;
 pub(crate) use template::{LANES, Source, Unroll};
 pub use tensor::Tensor;
 pub use tuning::Tuning;
-pub use work::Work;
+pub use work::{Latencies, Work};

@@ -217,7 +217,7 @@ impl Schedule {
             let Some(module) = program.module() else { continue };
             let walk = || {
                 let walked = Walked { module, constants: &program.constants, params: bytes, groups: *groups };
-                work(&walked, card.latencies())
+                work(&walked, card.latencies)
             };
             let key = (Arc::as_ptr(program), &**bytes, *groups);
             all.push((program.name, *known.entry(key).or_insert_with(walk)));

@@ -8,24 +8,30 @@
 //! under way together, and the first use of one waits for it, as on a processor of a GPU. Stores do not wait, but the next barrier waits for
 //! them: compilers load what the next turns of a loop store before they store that of the first. Other loops they may turn better than this, too.
 
+mod value;
+
 use naga::{
-    AddressSpace, BinaryOperator, Block, BuiltIn, Expression, Function, GlobalVariable, Handle, Literal,
-    LocalVariable, MathFunction, Module, ScalarKind, Statement, SwitchValue, Type, TypeInner, UnaryOperator,
+    AddressSpace, BinaryOperator, Block, BuiltIn, Expression, Function, GlobalVariable, Handle,
+    LocalVariable, MathFunction, Module, Statement, SwitchValue, Type, TypeInner,
 };
 use std::collections::HashMap;
+use value::{Number, Shape, Value};
 
 /// Turns of a loop whose end depends on data.
 const DOUBTFUL_TURNS: usize = 2;
 /// Most turns of any loop; none of this crate's has as many.
 const MOST_TURNS: usize = 1 << 20;
-/// Lanes that share an instruction.
-pub(super) const LANES: u32 = 32;
+/// Lanes that share an instruction, a warp.
+pub(super) const WARP: u32 = 32;
 
 /// Cycles until the result of an instruction may be used.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Latencies {
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Latencies {
+    /// Of a load through the second cache.
     pub memory: f64,
+    /// Of a load from workgroup memory, and of a barrier.
     pub workgroup: f64,
+    /// Of any other instruction.
     pub arithmetic: f64,
 }
 
@@ -57,83 +63,6 @@ pub(super) struct Walked<'a> {
     /// Bytes of the uniform.
     pub params: &'a [u8],
     pub groups: [u32; 3],
-}
-
-/// A number as far as it is known.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Number {
-    Float,
-    Unsigned(Option<u32>),
-    Signed(Option<i32>),
-    Truth(Option<bool>),
-}
-
-impl Number {
-    fn of(kind: ScalarKind) -> Self {
-        match kind {
-            ScalarKind::Uint => Self::Unsigned(None),
-            ScalarKind::Sint => Self::Signed(None),
-            ScalarKind::Bool => Self::Truth(None),
-            _ => Self::Float,
-        }
-    }
-
-    fn zero(self) -> Self {
-        match self {
-            Self::Float => Self::Float,
-            Self::Unsigned(_) => Self::Unsigned(Some(0)),
-            Self::Signed(_) => Self::Signed(Some(0)),
-            Self::Truth(_) => Self::Truth(Some(false)),
-        }
-    }
-
-    fn unknown(self) -> Self {
-        match self {
-            Self::Float => Self::Float,
-            Self::Unsigned(_) => Self::Unsigned(None),
-            Self::Signed(_) => Self::Signed(None),
-            Self::Truth(_) => Self::Truth(None),
-        }
-    }
-
-    fn whole(self) -> Option<i64> {
-        match self {
-            Self::Float => None,
-            Self::Unsigned(v) => v.map(i64::from),
-            Self::Signed(v) => v.map(i64::from),
-            Self::Truth(v) => v.map(i64::from),
-        }
-    }
-
-    /// Returns this whole number as one of the kind of `self`.
-    fn with(self, value: i64) -> Self {
-        match self {
-            Self::Float => Self::Float,
-            Self::Unsigned(_) => Self::Unsigned(Some(value as u32)),
-            Self::Signed(_) => Self::Signed(Some(value as i32)),
-            Self::Truth(_) => Self::Truth(Some(value != 0)),
-        }
-    }
-}
-
-/// How the numbers of a value, or of what a place holds, are arranged.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Shape {
-    Scalar(Number),
-    Vector(usize, Number),
-    /// Columns, rows.
-    Matrix(usize, usize),
-    Of(Handle<Type>),
-}
-
-#[derive(Clone, Debug)]
-struct Value {
-    shape: Shape,
-    numbers: Vec<Number>,
-    /// The cycle from which on it may be used.
-    ready: f64,
-    /// Whether it may differ between lanes.
-    varies: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -281,10 +210,6 @@ impl<'a> Walk<'a> {
         }
     }
 
-    fn scalar(number: Number) -> Value {
-        Value { shape: Shape::Scalar(number.unknown()), numbers: vec![number], ready: 0.0, varies: false }
-    }
-
     /// Returns a built-in value of the first invocation of the workgroup in the middle.
     fn builtin(&self, argument: &naga::FunctionArgument) -> Item {
         let Some(naga::Binding::BuiltIn(builtin)) = argument.binding else {
@@ -298,7 +223,7 @@ impl<'a> Walk<'a> {
             BuiltIn::GlobalInvocationId => {
                 (middle.iter().zip(self.size).map(|(&group, size)| group * size).collect(), true)
             }
-            BuiltIn::SubgroupSize => (vec![LANES], false),
+            BuiltIn::SubgroupSize => (vec![WARP], false),
             _ => (vec![0], true),
         };
         let numbers: Vec<_> = values.into_iter().map(|v| Number::Unsigned(Some(v))).collect();
@@ -314,7 +239,7 @@ impl<'a> Walk<'a> {
                 let Shape::Scalar(kind) = self.shape(constant.ty) else {
                     unreachable!("overrides are scalars")
                 };
-                Self::scalar(kind.with(value as i64))
+                Value::scalar(kind.with(value as i64))
             }
             None => {
                 self.global(constant.init.expect("the host gives every override without a value of its own"))
@@ -325,31 +250,21 @@ impl<'a> Walk<'a> {
     /// Returns a constant expression.
     fn global(&self, expression: Handle<Expression>) -> Value {
         match self.of.module.global_expressions[expression] {
-            Expression::Literal(literal) => Self::literal(literal),
+            Expression::Literal(literal) => Value::literal(literal),
             Expression::Constant(constant) => self.global(self.of.module.constants[constant].init),
             Expression::Override(constant) => self.given(constant),
             Expression::ZeroValue(ty) => self.zero(ty),
             Expression::Compose { ty, ref components } => {
-                Self::composed(self.shape(ty), components.iter().map(|&c| self.global(c)))
+                Value::composed(self.shape(ty), components.iter().map(|&c| self.global(c)))
             }
-            Expression::Splat { size, value } => Self::splat(size as usize, &self.global(value)),
-            Expression::Unary { op, expr } => Self::unary(op, &self.global(expr)),
+            Expression::Splat { size, value } => Value::splat(size as usize, &self.global(value)),
+            Expression::Unary { op, expr } => Value::unary(op, &self.global(expr)),
             Expression::Binary { op, left, right } => {
                 let (left, right) = (self.global(left), self.global(right));
-                self.combined(op, &left, &right)
+                Value::combined(op, &left, &right)
             }
-            _ => Self::scalar(Number::Float),
+            _ => Value::scalar(Number::Float),
         }
-    }
-
-    fn literal(literal: Literal) -> Value {
-        Self::scalar(match literal {
-            Literal::U32(v) => Number::Unsigned(Some(v)),
-            Literal::I32(v) => Number::Signed(Some(v)),
-            Literal::AbstractInt(v) => Number::Signed(Some(v as i32)),
-            Literal::Bool(v) => Number::Truth(Some(v)),
-            _ => Number::Float,
-        })
     }
 
     fn zero(&self, ty: Handle<Type>) -> Value {
@@ -358,109 +273,12 @@ impl<'a> Walk<'a> {
         Value { shape, numbers, ready: 0.0, varies: false }
     }
 
-    fn composed(shape: Shape, parts: impl Iterator<Item = Value>) -> Value {
-        let mut all = Value { shape, numbers: Vec::new(), ready: 0.0, varies: false };
-        for part in parts {
-            all.numbers.extend(part.numbers);
-            all.ready = all.ready.max(part.ready);
-            all.varies |= part.varies;
-        }
-        all
-    }
-
-    fn splat(size: usize, value: &Value) -> Value {
-        let shape = Shape::Vector(size, value.numbers[0].unknown());
-        Value { shape, numbers: vec![value.numbers[0]; size], ..value.clone() }
-    }
-
-    fn unary(op: UnaryOperator, value: &Value) -> Value {
-        let of = |number: &Number| match (op, number.whole()) {
-            (_, None) => *number,
-            (UnaryOperator::Negate, Some(v)) => number.with(-v),
-            (UnaryOperator::LogicalNot, Some(v)) => number.with(i64::from(v == 0)),
-            (UnaryOperator::BitwiseNot, Some(v)) => number.with(!v),
-        };
-        Value { numbers: value.numbers.iter().map(of).collect(), ..value.clone() }
-    }
-
-    /// Returns the result of an operator, as soon as its operands are there.
-    fn combined(&self, op: BinaryOperator, left: &Value, right: &Value) -> Value {
-        use BinaryOperator as Op;
-        let compares = matches!(
-            op,
-            Op::Equal | Op::NotEqual | Op::Less | Op::LessEqual | Op::Greater | Op::GreaterEqual
-        );
-        let count = left.numbers.len().max(right.numbers.len());
-        let pick = |value: &Value, k: usize| value.numbers[k % value.numbers.len()];
-        let of = |k: usize| {
-            let (a, b) = (pick(left, k), pick(right, k));
-            let kind = if compares { Number::Truth(None) } else { a.unknown() };
-            let (known_a, known_b) = (a.whole(), b.whole());
-            // What one operand decides.
-            match (op, known_a, known_b) {
-                (Op::LogicalAnd | Op::And, Some(0), _) | (Op::LogicalAnd | Op::And, _, Some(0)) => {
-                    return kind.with(0);
-                }
-                (Op::LogicalOr, Some(1), _) | (Op::LogicalOr, _, Some(1)) => return kind.with(1),
-                _ => {}
-            }
-            let (Some(a), Some(b)) = (known_a, known_b) else { return kind };
-            kind.with(match op {
-                Op::Add => a + b,
-                Op::Subtract => a - b,
-                Op::Multiply => a.wrapping_mul(b),
-                Op::Divide => a.checked_div(b).unwrap_or(0),
-                Op::Modulo => a.checked_rem(b).unwrap_or(0),
-                Op::Equal => i64::from(a == b),
-                Op::NotEqual => i64::from(a != b),
-                Op::Less => i64::from(a < b),
-                Op::LessEqual => i64::from(a <= b),
-                Op::Greater => i64::from(a > b),
-                Op::GreaterEqual => i64::from(a >= b),
-                Op::And | Op::LogicalAnd => a & b,
-                Op::ExclusiveOr => a ^ b,
-                Op::InclusiveOr | Op::LogicalOr => a | b,
-                Op::ShiftLeft => a << (b & 31),
-                Op::ShiftRight => a >> (b & 31),
-            })
-        };
-        let numbers: Vec<_> = (0..count).map(of).collect();
-        let shape = match (left.shape, right.shape) {
-            // A matrix times a vector, or the other way round.
-            (Shape::Matrix(_, rows), Shape::Vector(..)) if op == Op::Multiply => {
-                Shape::Vector(rows, Number::Float)
-            }
-            (Shape::Vector(..), Shape::Matrix(columns, _)) if op == Op::Multiply => {
-                Shape::Vector(columns, Number::Float)
-            }
-            (Shape::Matrix(_, rows), Shape::Matrix(columns, _)) if op == Op::Multiply => {
-                Shape::Matrix(columns, rows)
-            }
-            (Shape::Scalar(_), shape) | (shape, _) => match shape {
-                Shape::Scalar(_) => Shape::Scalar(numbers[0].unknown()),
-                Shape::Vector(size, _) => Shape::Vector(size, numbers[0].unknown()),
-                other => other,
-            },
-        };
-        let numbers = match shape {
-            Shape::Vector(size, Number::Float) => vec![Number::Float; size],
-            Shape::Matrix(columns, rows) => vec![Number::Float; columns * rows],
-            _ => numbers,
-        };
-        let ready = left.ready.max(right.ready);
-        Value { shape, numbers, ready, varies: left.varies || right.varies }
-    }
-
     /// Starts `count` instructions whose operands are there at `ready`. Returns when the result of the last one is.
     fn issue(&mut self, count: f64, latency: f64, ready: f64) -> f64 {
         let start = self.clock.max(ready);
         self.clock = start + count;
         self.work.instructions += count;
         start + count.max(1.0) - 1.0 + latency
-    }
-
-    fn is_float(value: &Value) -> bool {
-        value.numbers.first() == Some(&Number::Float)
     }
 
     /// Charges an operation of this many instructions. Addresses and conditions that are known run beside the rest: compilers
@@ -755,15 +573,15 @@ impl<'a> Walk<'a> {
                     }
                 }
             }
-            Expression::Literal(literal) => Self::literal(literal),
+            Expression::Literal(literal) => Value::literal(literal),
             Expression::Constant(constant) => self.global(self.of.module.constants[constant].init),
             Expression::Override(constant) => self.given(constant),
             Expression::ZeroValue(ty) => self.zero(ty),
             Expression::Compose { ty, ref components } => {
                 let parts: Vec<_> = components.iter().map(|&c| self.value(frame, c)).collect();
-                Self::composed(self.shape(ty), parts.into_iter())
+                Value::composed(self.shape(ty), parts.into_iter())
             }
-            Expression::Splat { size, value } => Self::splat(size as usize, &self.value(frame, value)),
+            Expression::Splat { size, value } => Value::splat(size as usize, &self.value(frame, value)),
             Expression::Swizzle { size, vector, pattern } => {
                 let value = self.value(frame, vector);
                 let numbers: Vec<_> =
@@ -777,12 +595,12 @@ impl<'a> Walk<'a> {
             Expression::ImageLoad { coordinate, .. } => {
                 let at = self.value(frame, coordinate);
                 let ready = self.issue(1.0, self.latencies.memory, at.ready);
-                self.work.memory_bytes += if at.varies { 16.0 } else { 16.0 / f64::from(LANES) };
+                self.work.memory_bytes += if at.varies { 16.0 } else { 16.0 / f64::from(WARP) };
                 let numbers = vec![Number::Float; 4];
                 Value { shape: Shape::Vector(4, Number::Float), numbers, ready, varies: at.varies }
             }
             // A sign is part of the instruction that takes it.
-            Expression::Unary { op, expr } => Self::unary(op, &self.value(frame, expr)),
+            Expression::Unary { op, expr } => Value::unary(op, &self.value(frame, expr)),
             Expression::Binary { op, left, right } => {
                 let (left, right) = (self.value(frame, left), self.value(frame, right));
                 self.operator(op, &left, &right)
@@ -829,7 +647,7 @@ impl<'a> Walk<'a> {
                 if same { result } else { self.charge(result, 1.0, 0.0) }
             }
             // Results of statements, which have been stored, and lengths.
-            _ => Value { ready: self.clock, varies: true, ..Self::scalar(Number::Unsigned(None)) },
+            _ => Value { ready: self.clock, varies: true, ..Value::scalar(Number::Unsigned(None)) },
         };
         Item::Value(value)
     }
@@ -857,7 +675,7 @@ impl<'a> Walk<'a> {
 
     /// Counts an access of `count` numbers.
     fn access(&mut self, place: &Place, count: usize, ready: f64) -> f64 {
-        let bytes = 4.0 * count as f64 * if place.varies { 1.0 } else { 1.0 / f64::from(LANES) };
+        let bytes = 4.0 * count as f64 * if place.varies { 1.0 } else { 1.0 / f64::from(WARP) };
         let latency = match place.space {
             Space::Workgroup => {
                 self.work.workgroup_bytes += bytes;
@@ -923,7 +741,7 @@ impl<'a> Walk<'a> {
 
     fn operator(&mut self, op: BinaryOperator, left: &Value, right: &Value) -> Value {
         use BinaryOperator as Op;
-        let result = self.combined(op, left, right);
+        let result = Value::combined(op, left, right);
         let products = match (left.shape, right.shape) {
             (Shape::Matrix(columns, _), Shape::Vector(..) | Shape::Matrix(..)) => columns,
             (Shape::Vector(..), Shape::Matrix(_, rows)) => rows,
@@ -932,7 +750,7 @@ impl<'a> Walk<'a> {
         if products > 0 && op == Op::Multiply {
             return self.charge(result, products as f64, 2.0 * products as f64);
         }
-        let float = Self::is_float(left);
+        let float = left.is_float();
         // Of a product and a sum most are one instruction.
         let per_number = match op {
             Op::Add | Op::Subtract | Op::Multiply if float => 0.5,
