@@ -59,9 +59,9 @@
 //!    (section 4): the normalised fields ([`kernels::optim::Features`]), the lifting, four Fourier blocks
 //!    (truncated transform, spectral product, inverse), the field head, and the scalar head with the
 //!    persistent scale. [`kernels::optim::Update`] computes its step. With `fnopt` that is one of four directions, whose scale
-//!    [`kernels::optim::StepScale`] takes from the step before;
+//!    begins with the size of the step before ([`kernels::operator::LastStep`]);
 //!    the others are the gradient under the spectral inverse of the Hessian at rest, the step across the sheet's surface with what it asks
-//!    for along it ([`kernels::optim::AnswerRows`], [`kernels::optim::CosineBack`]), and the last step. [`kernels::cloth::Curvature`] sums the energy, its slopes and its second
+//!    for along it ([`kernels::optim::AnswerRows`], [`kernels::optim::SheetSteps`]), and the last step. [`kernels::cloth::Curvature`] sums the energy, its slopes and its second
 //!    derivatives along them, and [`kernels::optim::SubspaceStep`] adds the combination that minimises this model to
 //!    a. If the step before raised the energy, it shortens that one instead.
 //!    [`kernels::cloth::ContactConfine`] keeps the step out of the bodies. With `fnopt-paper` the network's step is

@@ -193,9 +193,12 @@ def main():
         frames = predicted(program, folder)
     predictions = list(csv.DictReader(PREDICTED.open())) if PREDICTED.exists() else []
     for row in predictions:
-        _, _, ms = frames[row["solver"], row["grid"], row["card"]]
-        if ms > 1.01 * float(row["ms_per_frame"]):
-            wrong.append(f"{row['solver']} {row['grid']} on {row['card']}: {ms:.3f} ms a frame predicted, not {row['ms_per_frame']}")
+        frame = f"{row['solver']} {row['grid']} on {row['card']}"
+        _, _, ms = frames.get((row["solver"], row["grid"], row["card"]), (0, 0.0, None))
+        if ms is None:
+            wrong.append(f"{frame}: in predicted.csv, and not predicted")
+        elif ms > 1.01 * float(row["ms_per_frame"]):
+            wrong.append(f"{frame}: {ms:.3f} ms a frame predicted, not {row['ms_per_frame']}")
     if arguments.write:
         with PREDICTED.open("w", newline="") as file:
             table = csv.writer(file, lineterminator="\n")

@@ -1,36 +1,77 @@
-// Cosine transform along the rows of what a step across the surface of a sheet leaves to be done along it.
+// The steps of a sheet in space and across its surface, and the cosine transform along the rows of what the latter leaves to be done along
+// the surface.
 //
-// With the step across d = -y_3 normal at free particles and 0 elsewhere,
+// The inverse transform of the rows of z_0 to z_3, less what the reactions of handles take back (`rows_back`), is y_0 to y_3. With the step across
+// d = -y_3 normal at free particles and 0 elsewhere,
 //   rest = grad + sum over edges e at the particle of e (e . (d - d')), d' being the step at the other end,
-//   out[f, i, l] = sum_j table[l, j] field_f[i, j],
+//   z_(4 + f)[i, l] = sum_j table[l, j] field_f[i, j],
 // where field 0 is the product of rest with t1 and field 1 that with t2, both 0 where no free particle is.
 //
-// grad: [B, 3, H, W]
+// table: [W, W], the orthonormal DCT-II
 // marks: [B, H, W]
 // axes: [B, 16, H, W] = t1, t2, the normal, near, the edge down, the edge to the right (`sheet_axes`)
-// table: [W, W], the orthonormal DCT-II
-// y: [B, 6, H, W], whose field 3 came back from a transform (`cosine_back`)
-// out: [B, 2, H, W]
+// handles: [B, K], the handles that react, past the last one NONE
+// reactions: [B, K, 4, H, W], in space, along t1 and t2, and across
+// grad: [B, 3, H, W]
+// z: [B, 6, H, W]
+// y: [B, 6, H, W]; fields 4 and 5 are working space: y_3 in the rows before and after those of a workgroup, which transforms
+//   these, too, instead of waiting for another
 //
-// One invocation per four columns of a row, both fields. Workgroups: (W / 32, H / 8, B).
+// One workgroup per ROWS - 2 whole rows, one invocation per four columns of a row, all fields, or several.
+// Workgroups: (1, H / (ROWS - 2), B).
 // Adjoint: none, the optimizer is not trained.
 
 struct Params {
     rows: u32, // H
     columns: u32, // W
+    room: u32, // K
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> grad: array<f32>;
+@group(0) @binding(1) var<storage, read> table: array<f32>;
 @group(0) @binding(2) var<storage, read> marks: array<vec2u>;
 @group(0) @binding(3) var<storage, read> axes: array<f32>;
-@group(0) @binding(4) var<storage, read> table: array<f32>;
-@group(0) @binding(5) var<storage, read> y: array<f32>;
-@group(0) @binding(6) var<storage, read_write> out: array<f32>;
+@group(0) @binding(4) var<storage, read> handles: array<u32>;
+@group(0) @binding(5) var<storage, read> reactions: array<f32>;
+@group(0) @binding(6) var<storage, read> grad: array<f32>;
+@group(0) @binding(7) var<storage, read_write> z: array<f32>;
+@group(0) @binding(8) var<storage, read_write> y: array<f32>;
+
+const FIELDS: u32 = 4u;
+const FIRST: u32 = 0u;
 
 // Steps across at the particles that are multiplied at once and at those around them.
 const BESIDE: u32 = DEPTH + 2u;
-var<workgroup> steps: array<vec3f, 10u * BESIDE>;
+override AROUND: u32 = ROWS * BESIDE;
+var<workgroup> steps: array<vec3f, AROUND>;
+
+// Writes the fields of four columns of row i, as far as they exist; `row` in the tile.
+fn keep_row(b: u32, row: u32, i: u32, column: u32) {
+    if i >= params.rows || column >= params.columns {
+        return;
+    }
+    let n = params.rows * params.columns;
+    let at = 6u * b * n + i * params.columns + column;
+    let columns = params.columns - column;
+    if row > 0u && row + 1u < ROWS {
+        keep_field(at, sum0, columns);
+        keep_field(at + n, sum1, columns);
+        keep_field(at + 2u * n, sum2, columns);
+    }
+    keep_field(at + field_across(row) * n, sum3, columns);
+}
+
+// Returns where the field across of a row in the tile is in y.
+fn field_across(row: u32) -> u32 {
+    return select(select(3u, 5u, row + 1u == ROWS), 4u, row == 0u);
+}
+
+fn keep_field(at: u32, v: vec4f, columns: u32) {
+    y[at] = v.x;
+    if columns > 1u { y[at + 1u] = v.y; }
+    if columns > 2u { y[at + 2u] = v.z; }
+    if columns > 3u { y[at + 3u] = v.w; }
+}
 
 // Returns one of the axes or edges of a particle.
 fn axis(b: u32, first: u32, p: u32) -> vec3f {
@@ -39,15 +80,14 @@ fn axis(b: u32, first: u32, p: u32) -> vec3f {
     return vec3f(axes[at], axes[at + n], axes[at + 2u * n]);
 }
 
-// Returns the step across at the particle in the row after i and the column after j, counted from one before the first; 0 where none is free.
-// All is loaded before it is known whether it counts, so that loads don't wait for each other.
-fn step_across(b: u32, after_i: u32, after_j: u32) -> vec3f {
+// Returns the step across at the particle in row i, `row` in the tile, and the column after j, counted from one before the first; 0 where none is
+// free. All is loaded before it is known whether it counts, so that loads don't wait for each other.
+fn step_across(b: u32, row: u32, i: u32, after_j: u32) -> vec3f {
     let n = params.rows * params.columns;
-    let i = clamp(after_i, 1u, params.rows) - 1u;
     let j = clamp(after_j, 1u, params.columns) - 1u;
-    let p = i * params.columns + j;
-    let step = -y[(6u * b + 3u) * n + p] * axis(b, 6u, p);
-    let exists = i + 1u == after_i && j + 1u == after_j;
+    let p = min(i, params.rows - 1u) * params.columns + j;
+    let step = -y[(6u * b + field_across(row)) * n + p] * axis(b, 6u, p);
+    let exists = i < params.rows && j + 1u == after_j;
     return select(vec3f(), step, exists && is_free(marks[b * n + p]));
 }
 
@@ -85,29 +125,56 @@ fn load_particle(b: u32, i: u32, j: u32, own: u32, place: u32) {
     fields[place] = of_particle;
 }
 
-@compute @workgroup_size(64)
+// Adds the products over the stored depth of what is to be done along the surface.
+fn add_answers(lane: u32) {
+    let row = row_of(lane);
+    let quad = place_of(quad_of(lane), 0u);
+    for (var k = 0u; k < DEPTH; k++) {
+        add_product_of_two(fields[k * STRIDE + row], factors[k * STRIDE_OF_FACTORS + quad]);
+    }
+}
+
+@compute @workgroup_size(LANES)
 fn answer_rows(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3u) {
     let b = group.z;
-    let first_row = group.y * 8u;
-    let first_column = group.x * 32u;
+    // The first and the last row of a tile are others' own. That before the first row of all is past the last one.
+    let first_row = (ROWS - 2u) * group.y - 1u;
+    let row = row_of(lane);
+    let i = first_row + row;
+    let quad = quad_of(lane);
     // Not plainly a parameter (see `cosine_columns`), and the same for the whole workgroup, because of the barriers.
     let columns = params.columns + (group.z >> 31u);
-    for (var first = 0u; first < columns; first += DEPTH) {
-        workgroupBarrier();
-        for (var k = lane; k < 10u * BESIDE; k += 64u) {
-            steps[k] = step_across(b, first_row + k / BESIDE, first + k % BESIDE);
-        }
-        workgroupBarrier();
-        // Neighbouring invocations read neighbouring elements of particles and table.
-        for (var k = lane; k < 8u * DEPTH; k += 64u) {
-            let depth = k % DEPTH;
-            let other = k / DEPTH;
-            let own = (other + 1u) * BESIDE + depth + 1u;
-            load_particle(b, first_row + other, first + depth, own, depth * STRIDE + other);
-            factors[depth * STRIDE + other] = quad_of_cosines(first_column + 4u * other, first + depth);
-        }
-        workgroupBarrier();
-        add_products(lane / 8u, lane % 8u);
+    for (var first = 0u; first < columns; first += 32u * TEAMS) {
+        transform_back(b, lane, first_row, first);
+        react_to_handles(b, lane, i, first + 4u * quad);
+        keep_row(b, row, i, first + 4u * quad);
     }
-    keep_fields(2u * b, first_row + lane / 8u, first_column + 4u * (lane % 8u));
+    // What follows reads what other invocations wrote.
+    storageBarrier();
+    for (var first_mode = 0u; first_mode < columns; first_mode += 32u * TEAMS) {
+        clear_sums();
+        for (var first = 0u; first < columns; first += DEPTH) {
+            workgroupBarrier();
+            for (var k = lane; k < ROWS * BESIDE; k += LANES) {
+                steps[k] = step_across(b, k / BESIDE, first_row + k / BESIDE, first + k % BESIDE);
+            }
+            workgroupBarrier();
+            // Neighbouring invocations read neighbouring elements of particles.
+            for (var k = lane; k < (ROWS - 2u) * DEPTH; k += LANES) {
+                let own = k / DEPTH + 1u;
+                let depth = k % DEPTH;
+                load_particle(b, first_row + own, first + depth, own * BESIDE + depth + 1u, depth * STRIDE + own);
+            }
+            load_factors(lane, first, first_mode);
+            workgroupBarrier();
+            add_answers(lane);
+        }
+        let column = first_mode + 4u * quad;
+        if row > 0u && row + 1u < ROWS && i < params.rows && column < params.columns {
+            let n = params.rows * params.columns;
+            let at = (6u * b + 4u) * n + i * params.columns + column;
+            keep_modes(at, sum0, params.columns - column);
+            keep_modes(at + n, sum1, params.columns - column);
+        }
+    }
 }

@@ -1,10 +1,10 @@
 // Multiplication of four fields, or two, by the inverse Hessian of a sheet, between the transforms of their rows: the cosine transform
 // along the columns, the division by the eigenvalues, and the transform back.
 //
-// With the field g = FIRST + f of y,
-//   y[g, k, l] = sum_i table[k, i] z[f, i, l] / lambda_g(k, l),  and then  z[f, i, l] = sum_k table[k, i] y[g, k, l]
+// With each field f from FIRST on,
+//   y[f, k, l] = sum_i table[k, i] z[f, i, l] / lambda_f(k, l),  and then  z[f, i, l] = sum_k table[k, i] y[f, k, l]
 //
-// With N = H W, m = mu[k] and q = mu[H + l], the first three fields of y have the eigenvalue of a sheet at rest (see
+// With N = H W, m = mu[k] and q = mu[H + l], the first three fields have the eigenvalue of a sheet at rest (see
 // `rest_modes`), the next that across its surface, and the last two (FIELDS = 2) those along either axis of the sheet:
 //   lambda_3 = TAU (w_u m + w_v q) + (NORMAL + 2 TAU k_stretch + 2 BEND (k_down m^2 + k_across q^2)) / N
 //   lambda_4 = w_u (m + TAU q) + (TANGENTIAL + CONTACT c + 8 k_shear q + 2 k_across q^2) / N
@@ -16,8 +16,8 @@
 // cloths: [B]
 // table: [H, H], the orthonormal DCT-II
 // mu: [H + W], 2 - 2 cos(pi k / H), then 2 - 2 cos(pi l / W)
-// z: [B, FIELDS, H, W], the fields and in the end the results
-// y: [B, 6, H, W], of which the fields from FIRST on are written
+// z: [B, 6, H, W], of which FIELDS from FIRST on are read, and in the end the results
+// y: [B, 6, H, W], of which the same fields are overwritten
 //
 // One workgroup per 16 columns of a field, one invocation per 4 x 4 elements of LANES rows of them. No other workgroup touches these
 // columns, so that both transforms are one dispatch.
@@ -38,7 +38,7 @@ struct Params {
 
 // Share of an edge's stiffness that acts across it.
 override TAU: f32 = 0.0003;
-// 4 or 2, and the first of them in y.
+// 4 or 2, and the first of them.
 override FIELDS: u32 = 4;
 override FIRST: u32 = 0;
 // Inertia along the sheet and across it, and bend across it, as multiples of those of a flat sheet.
@@ -66,8 +66,7 @@ var<workgroup> right: array<vec4f, DEPTH * QUADS_OF_COLUMNS>;
 
 // A field of a cloth: where it begins in z and in y, its number there, and its cloth.
 struct Field {
-    own: u32,
-    other: u32,
+    first: u32,
     number: u32,
     cloth: u32,
 }
@@ -105,9 +104,9 @@ fn element(field: Field, row: u32, column: u32, inverse: bool) -> f32 {
     }
     let at = row * params.columns + column;
     if inverse {
-        return y[field.other + at];
+        return y[field.first + at];
     }
-    return z[field.own + at];
+    return z[field.first + at];
 }
 
 // Returns the eigenvalues of a field of y in mode k of the columns and four modes of the rows.
@@ -149,16 +148,16 @@ fn keep(field: Field, row: u32, column: u32, sum: vec4f, inverse: bool) {
     let at = row * params.columns + column;
     let columns = params.columns - column;
     if inverse {
-        z[field.own + at] = sum.x;
-        if columns > 1u { z[field.own + at + 1u] = sum.y; }
-        if columns > 2u { z[field.own + at + 2u] = sum.z; }
-        if columns > 3u { z[field.own + at + 3u] = sum.w; }
+        z[field.first + at] = sum.x;
+        if columns > 1u { z[field.first + at + 1u] = sum.y; }
+        if columns > 2u { z[field.first + at + 2u] = sum.z; }
+        if columns > 3u { z[field.first + at + 3u] = sum.w; }
     } else {
         let v = sum / eigenvalues(field.number, row, column, cloths[field.cloth]);
-        y[field.other + at] = v.x;
-        if columns > 1u { y[field.other + at + 1u] = v.y; }
-        if columns > 2u { y[field.other + at + 2u] = v.z; }
-        if columns > 3u { y[field.other + at + 3u] = v.w; }
+        y[field.first + at] = v.x;
+        if columns > 1u { y[field.first + at + 1u] = v.y; }
+        if columns > 2u { y[field.first + at + 2u] = v.z; }
+        if columns > 3u { y[field.first + at + 3u] = v.w; }
     }
 }
 
@@ -229,8 +228,7 @@ fn transform(field: Field, lane: u32, first_column: u32, inverse: bool) {
 fn cosine_columns(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3u) {
     let b = group.y / FIELDS;
     let number = FIRST + group.y % FIELDS;
-    let n = params.rows * params.columns;
-    let field = Field(group.y * n, (6u * b + number) * n, number, b);
+    let field = Field((6u * b + number) * params.rows * params.columns, number, b);
     // The way back reads what other invocations wrote.
     if STAGED {
         transform_staged(field, lane, 16u * group.x, false);

@@ -64,6 +64,8 @@ pub(crate) mod pieces {
     pub const POSITION_FORCE: &str = include_str!("../../shaders/pieces/position_force.wgsl");
     pub const PRODUCTS: &str = include_str!("../../shaders/pieces/products.wgsl");
     pub const PRODUCTS_PART: &str = include_str!("../../shaders/pieces/products_part.wgsl");
+    pub const ROWS_BACK: &str = include_str!("../../shaders/pieces/rows_back.wgsl");
+    pub const ROWS_FORWARD: &str = include_str!("../../shaders/pieces/rows_forward.wgsl");
     pub const SCALAR_HEAD: &str = include_str!("../../shaders/pieces/scalar_head.wgsl");
     pub const TARGET: &str = include_str!("../../shaders/pieces/target.wgsl");
     pub const TRIAL: &str = include_str!("../../shaders/pieces/trial.wgsl");

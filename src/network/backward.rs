@@ -5,14 +5,14 @@
 //! reverse order, with transposed tables and weights. The network's inputs are constants of training, so
 //! nothing is propagated beyond the lifting, whose hidden layer is recomputed instead of kept.
 
-use super::parameters::{GradientLayer, Layers};
+use super::parameters::Layers;
 use super::{Forward, Parameters, tables};
 use crate::Result;
 use crate::gpu::{Context, Schedule, Tensor, Tuning};
 use crate::kernels::operator::{
-    BlockTensors, Epilogue, GeluAdj, HeadWeightAdj, Inputs, Layer, Parts, PointwiseWeightAdj, PoolAdj,
-    PoolAdjTensors, ProjectAdj, SpectralTranspose, SpectralWeightAdj, SumParts, Transpose, pointwise::Lines,
-    pointwise_weight_adj,
+    BlockTensors, Epilogue, GeluAdj, HeadWeightAdj, Inputs, JoinedLayer, Layer, Parts, PointwiseWeightAdj,
+    PoolAdj, PoolAdjTensors, ProjectAdj, SpectralTranspose, SpectralWeightAdj, SumParts, Transpose,
+    pointwise::Lines, pointwise_weight_adj,
 };
 use crate::kernels::padded;
 
@@ -39,7 +39,7 @@ pub struct Backward {
     pub adj_field: Tensor,
     /// Cotangent of [`Forward::scalar`], shape `[S]`.
     pub adj_scalar: Tensor,
-    gradient: Layers<GradientLayer>,
+    gradient: Layers<JoinedLayer>,
     /// Cotangents of the blocks' outputs before their GELU, in two alternating buffers, shape [S, H, C, W'].
     adj: [Tensor; 2],
     adj_projected: Tensor,
@@ -200,10 +200,10 @@ impl Backward {
         let (rows_max, columns) = (&forward.rows_max, forward.grid.w);
         let x = forward.activation(block + 1);
         let from = PoolAdjTensors { adj_scalar: &self.adj_scalar, rows_max, x, columns };
-        let head = &forward.layers.scalar.weight;
-        self.kernels.pool_adj.push(schedule, head, from, (adj, &self.pooled));
-        let GradientLayer { weight_and_bias, bias } = &self.gradient.scalar;
         let &[samples, channels] = self.pooled.shape() else { unreachable!("what is pooled is [S, C]") };
+        let weight = forward.layers.scalar.weight_and_bias.view(0, &[channels]);
+        self.kernels.pool_adj.push(schedule, &weight, from, (adj, &self.pooled));
+        let JoinedLayer { weight_and_bias, bias } = &self.gradient.scalar;
         let pooled = self.pooled.view(0, &[samples, channels, 1]);
         self.kernels.head_weight_adj.push(schedule, &pooled, &self.adj_scalar, (weight_and_bias, *bias));
     }
@@ -267,9 +267,9 @@ impl Backward {
         schedule: &mut Schedule,
         (x, adj): (&Tensor, &Tensor),
         part: Lines,
-        gradient: &GradientLayer,
+        gradient: &JoinedLayer,
     ) {
-        let GradientLayer { weight_and_bias, bias } = gradient;
+        let JoinedLayer { weight_and_bias, bias } = gradient;
         let parts =
             Parts { partial: &self.partial, len: weight_and_bias.len(), bias: *bias, tile: self.tile };
         let count = self.kernels.pointwise_weight_adj.push(schedule, (x, adj), part, parts);

@@ -8,8 +8,8 @@ use crate::Result;
 use crate::cloth::Grid;
 use crate::gpu::{Context, Schedule, Storage, Tensor, Tuning};
 use crate::kernels::operator::{
-    Activate, Block, BlockTensors, Epilogue, Inputs, Layer, LayerSize, Lifting, Pointwise, PoolRows, Project,
-    ScalarHead, Scales, Spectral, SpectralTensors, TransformRows, pointwise::Lines,
+    Activate, Block, BlockTensors, Epilogue, Inputs, JoinedLayer, Layer, LayerSize, Lifting, Pointwise,
+    PoolRows, Project, ScalarHead, Scales, Spectral, SpectralTensors, TransformRows, pointwise::Lines,
 };
 use crate::kernels::optim::{FeatureInputs, Features};
 use crate::kernels::padded;
@@ -296,7 +296,7 @@ impl Forward {
 
     /// Returns the scalar head's layer, and the row maxima of the first `samples` samples after a pass, shape
     /// [samples, H, C].
-    pub fn pooled(&self, samples: usize) -> (&Layer, Tensor) {
+    pub fn pooled(&self, samples: usize) -> (&JoinedLayer, Tensor) {
         (&self.layers.scalar, self.rows_max.first(samples))
     }
 

@@ -5,7 +5,7 @@ use super::{Config, Weights};
 use crate::Result;
 use crate::gpu::{Context, Storage, Tensor, Tuning};
 use crate::kernels::CHANNEL_MULTIPLE;
-use crate::kernels::operator::{Layer, pointwise, spectral};
+use crate::kernels::operator::{JoinedLayer, Layer, pointwise, spectral};
 
 /// The weights of a network on a device.
 #[derive(Clone, Debug)]
@@ -45,7 +45,7 @@ struct BlockPlace {
     skip: DensePlace,
 }
 
-/// The layers of a network, each as an `L`: its weights ([`Layer`]) or their gradient ([`GradientLayer`]).
+/// The layers of a network, most as an `L`: their weights ([`Layer`]) or their gradient ([`JoinedLayer`]).
 #[derive(Clone, Debug)]
 pub(super) struct Layers<L = Layer> {
     pub lifting: [L; 2],
@@ -53,16 +53,8 @@ pub(super) struct Layers<L = Layer> {
     /// Shape [modes, C / 2, C, 4].
     pub products: Vec<Tensor>,
     pub projection: [L; 2],
-    pub scalar: L,
-}
-
-/// The gradient with respect to the weight and bias of a layer, in one tensor.
-#[derive(Clone, Debug)]
-pub(super) struct GradientLayer {
-    /// The weight in the order of the kernels, followed by the bias.
-    pub weight_and_bias: Tensor,
-    /// First element of the bias.
-    pub bias: usize,
+    /// Kernels that compute it besides other things can bind one tensor more this way.
+    pub scalar: JoinedLayer,
 }
 
 impl Layout {
@@ -180,25 +172,29 @@ impl Layout {
                 if place.outputs == 1 { single(place.weight, &shape) } else { stored(place.weight, &shape) };
             Ok(Layer { weight: weight?, bias: single(place.bias, &[place.outputs])? })
         };
-        self.each_layer(layer, stored)
+        let joined = |first: usize, len: usize| single(first, &[len]);
+        self.each_layer(layer, stored, joined)
     }
 
-    /// Makes a `Layers` of what `layer` makes of the place of each layer, and `product` of the first element and
-    /// the shape of each spectral product.
+    /// Makes a `Layers` of what `layer` makes of the place of each layer, `product` of the first element and
+    /// the shape of each spectral product, and `joined` of the first element and the length of the scalar head.
     fn each_layer<L>(
         &self,
         layer: impl Fn(&DensePlace) -> Result<L>,
         product: impl Fn(usize, &[usize]) -> Result<Tensor>,
+        joined: impl Fn(usize, usize) -> Result<Tensor>,
     ) -> Result<Layers<L>> {
         let c = self.padded.channels;
         let shape = [self.config.modes(), c / 2, c, 4];
+        let (first, bias) = (self.scalar.weight, self.scalar.bias - self.scalar.weight);
         let pair = |[first, second]: &[DensePlace; 2]| Ok([layer(first)?, layer(second)?]);
         Ok(Layers {
             lifting: pair(&self.lifting)?,
             skips: self.blocks.iter().map(|b| layer(&b.skip)).collect::<Result<_>>()?,
             products: self.blocks.iter().map(|b| product(b.product, &shape)).collect::<Result<_>>()?,
             projection: pair(&self.projection)?,
-            scalar: layer(&self.scalar)?,
+            // Whole quads: the elements after the bias are padding, too.
+            scalar: JoinedLayer { weight_and_bias: joined(first, (bias + 1).next_multiple_of(4))?, bias },
         })
     }
 
@@ -216,19 +212,21 @@ impl Layout {
             let weight = flat.view(place.weight, &self.weight_shape(place));
             Ok(Layer { weight, bias: flat.view(place.bias, &[place.outputs]) })
         };
-        self.each_layer(layer, |first, shape| Ok(flat.view(first, shape)))
+        let view = |first, shape: &[usize]| Ok(flat.view(first, shape));
+        self.each_layer(layer, view, |first, len| view(first, &[len]))
     }
 
     /// Returns the layers of a gradient on the device, as the adjoint kernels write them.
-    pub(super) fn gradient_layers(&self, flat: &Tensor) -> Result<Layers<GradientLayer>> {
+    pub(super) fn gradient_layers(&self, flat: &Tensor) -> Result<Layers<JoinedLayer>> {
         assert_eq!(flat.len(), self.len, "the vector has the size of the layout");
         let layer = |place: &DensePlace| {
             let bias = place.bias - place.weight;
             // Whole quads: the elements after the bias are padding, too.
             let len = (bias + place.outputs).next_multiple_of(4);
-            Ok(GradientLayer { weight_and_bias: flat.view(place.weight, &[len]), bias })
+            Ok(JoinedLayer { weight_and_bias: flat.view(place.weight, &[len]), bias })
         };
-        self.each_layer(layer, |first, shape| Ok(flat.view(first, shape)))
+        let view = |first, shape: &[usize]| Ok(flat.view(first, shape));
+        self.each_layer(layer, view, |first, len| view(first, &[len]))
     }
 }
 

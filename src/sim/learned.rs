@@ -3,7 +3,7 @@
 use crate::Result;
 use crate::cloth::Grid;
 use crate::gpu::{Context, Schedule, Tensor, Tuning};
-use crate::kernels::operator::Scales;
+use crate::kernels::operator::{LastStep, Scales};
 use crate::kernels::optim::{FeatureInputs, Iterate, Update, UpdateTensors};
 use crate::network::{Forward, Head, Keep, Plan, Weights};
 
@@ -30,8 +30,8 @@ impl Learned {
     }
 
     /// Appends the step that updates `iterate` and its hidden state from its gradient, or only proposes a
-    /// `direction`. `sums` [S, parts, 2] holds the partial sums of squares of the gradient and the last step;
-    /// `scales` are those of all samples.
+    /// `direction`, which begins with the size of the last step. `sums` [S, parts, 2] holds the partial sums of squares of
+    /// the gradient and the last step; `scales` are those of all samples.
     pub fn push(
         &self,
         schedule: &mut Schedule,
@@ -39,13 +39,14 @@ impl Learned {
         scales: Scales<'_>,
         direction: Option<&Tensor>,
     ) {
-        let (samples, _) = iterate.samples_and_particles();
+        let (samples, particles) = iterate.samples_and_particles();
         // Every workgroup of the update reads the old scales, so the new ones must go elsewhere.
         let defers_scalar_head = self.defers_scalar_head && scales.before != scales.after;
         for first in (0..samples).step_by(self.forward.samples()) {
             let count = self.forward.samples().min(samples - first);
-            let Scales { tensor, before, after } = scales;
-            let scales = Scales { tensor, before: before + first, after: after + first };
+            let last_step = direction.map(|_| LastStep { sums, first, particles });
+            let Scales { tensor, before, after, .. } = scales;
+            let scales = Scales { tensor, before: before + first, after: after + first, last_step };
             let head = if defers_scalar_head { Head::Deferred } else { Head::StoreAndRescale(scales) };
             self.forward.push_first(schedule, count, Some(FeatureInputs { iterate, sums, first }), head);
             let (layer, rows_max) = self.forward.pooled(count);

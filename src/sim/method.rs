@@ -7,9 +7,7 @@ use crate::cloth::modes::Reactions;
 use crate::gpu::{Context, Schedule, Tensor, Tuning};
 use crate::kernels::cloth::Objective;
 use crate::kernels::operator::Scales;
-use crate::kernels::optim::{
-    Adam, GradientDescent, Lbfgs, LbfgsMemory, Part, QuasiNewton, StepScale, Subspace,
-};
+use crate::kernels::optim::{Adam, GradientDescent, Lbfgs, LbfgsMemory, Part, QuasiNewton, Subspace};
 use crate::settings::{AdamSettings, LEARNED_ITERATIONS, LbfgsSettings};
 use crate::{Error, Result};
 
@@ -22,12 +20,10 @@ pub(super) enum Method {
         step: Box<Learned>,
         scales: Tensor,
     },
-    /// `network` is the fourth direction, with its scales as above, in rows `[2, S]` for the iterations in which it proposes:
-    /// after them, and those with which they begin.
+    /// `network` is the fourth direction, with its scales as above in rows for the iterations in which it proposes.
     Subspace {
         plan: Box<Subspace>,
         network: Option<(Box<Learned>, Tensor)>,
-        step_scale: StepScale,
     },
     GradientDescent {
         kernel: GradientDescent,
@@ -65,29 +61,27 @@ impl Method {
             let found = format!("{}, which does not (use the CPU)", context.name());
             Err(Error::invalid("optimizer", optimizer.name(), expected, found))
         };
-        let learned = |weights, (iterations, scales): (usize, usize)| {
+        let learned = |weights, iterations: usize| {
             let step = Box::new(Learned::new(context, weights, tuning, (grid, samples))?);
-            Result::Ok((step, rows(context, "scales", iterations, scales)?))
+            Result::Ok((step, rows(context, "scales", iterations, samples)?))
         };
         if let ([Direction::Spectral, Direction::CoRotated, Direction::Last, rest @ ..], Length::Subspace) =
             (&optimizer.directions[..], optimizer.length)
         {
             let network = match rest {
                 [] => None,
-                [Direction::Network(weights)] => {
-                    Some(learned(weights, (iterations.min(LEARNED_ITERATIONS), 2 * samples))?)
-                }
+                [Direction::Network(weights)] => Some(learned(weights, iterations.min(LEARNED_ITERATIONS))?),
                 _ => return refused(),
             };
             let room = (optimizer.directions.len(), Reactions::most(model));
             let plan = Subspace::new(context, room, (iterations, tuning.staged), (grid, batch))?;
             let plan = Box::new(plan);
-            return Ok(Self::Subspace { plan, network, step_scale: StepScale::new(context)? });
+            return Ok(Self::Subspace { plan, network });
         }
         let [direction] = &optimizer.directions[..] else { return refused() };
         Ok(match (direction, optimizer.length) {
             (Direction::Network(weights), Length::Fixed(_)) => {
-                let (step, scales) = learned(weights, (iterations, samples))?;
+                let (step, scales) = learned(weights, iterations)?;
                 Self::Learned { step, scales }
             }
             (Direction::Gradient, Length::Fixed(rate)) => {
@@ -195,22 +189,17 @@ impl Method {
             let &[iterations, stride] = Tensor::shape(tensor) else { unreachable!("scales are rows") };
             let last = (iteration + iterations - 1) % iterations;
             let [before, after] = [last, iteration].map(|row| row * stride);
-            Scales { tensor, before, after }
+            Scales { tensor, before, after, last_step: None }
         };
         match self {
             Self::Learned { step, scales: rows } => {
                 step.push(schedule, (iterate, sums), scales(rows), None);
             }
-            Self::Subspace { plan, network, step_scale } => {
+            Self::Subspace { plan, network } => {
                 // Later its last proposal stays among the directions.
                 if let Some((step, rows)) = network.as_ref().filter(|_| iteration < LEARNED_ITERATIONS) {
                     let direction = plan.learned_step();
-                    let Scales { tensor, before, after } = scales(rows);
-                    let begin = after + sums.shape()[0];
-                    let of_last = Scales { tensor, before, after: begin };
-                    step_scale.push(schedule, objective.grid(), sums, of_last);
-                    let of_step = Scales { tensor, before: begin, after };
-                    step.push(schedule, (iterate, sums), of_step, direction.as_ref());
+                    step.push(schedule, (iterate, sums), scales(rows), direction.as_ref());
                 }
                 plan.push(schedule, objective, iteration);
             }

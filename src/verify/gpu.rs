@@ -165,7 +165,7 @@ impl Stages for GpuStages {
             step.push(
                 &mut schedule,
                 (&iterate, &sums),
-                Scales { tensor: &scales, before: 0, after: samples },
+                Scales { tensor: &scales, before: 0, after: samples, last_step: None },
                 None,
             );
             Ok(())

@@ -16,13 +16,16 @@ use fnopt::{Device, Error, Simulator};
 fn samples_in_passes_have_the_same_bits() {
     let _turn = device();
     let (model, start, control) = varied_batch();
-    let optimizer = Optimizer::paper(starter().clone());
+    let [paper, fnopt] = ["fnopt-paper", "fnopt"]
+        .map(|name| Optimizer::named(name, "a test", || Ok((**starter()).clone())).unwrap());
     // 18 columns are padded to 20.
     let one = 4 * 64 * 21 * 20;
-    for table in [Tuning::table(context()), Tuning { busy_groups: 60, ..sharings()[1] }] {
+    let table = Tuning::table(context());
+    let busy = Tuning { busy_groups: 60, ..sharings()[1] };
+    for (optimizer, table) in [(&paper, table), (&paper, busy), (&fnopt, table), (&fnopt, busy)] {
         let run = |activation_bytes: usize| {
             let tuning = Tuning { activation_bytes: activation_bytes.max(1), ..table };
-            let solver = solver_with(tuning, &model, (&optimizer, 3), &start);
+            let solver = solver_with(tuning, &model, (optimizer, 3), &start);
             step(&solver, &control);
             (step(&solver, &control), solver.schedule().dispatches())
         };

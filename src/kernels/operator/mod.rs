@@ -30,7 +30,7 @@ pub use pool_adj::{PoolAdj, PoolAdjTensors};
 pub use pool_rows::PoolRows;
 pub use project::Project;
 pub use project_adj::ProjectAdj;
-pub use scalar_head::{ScalarHead, Scales};
+pub use scalar_head::{LastStep, ScalarHead, Scales};
 pub use spectral::{Spectral, SpectralSize, SpectralTensors};
 pub use spectral_transpose::SpectralTranspose;
 pub use spectral_weight_adj::SpectralWeightAdj;
@@ -47,4 +47,21 @@ pub struct Layer {
     pub weight: Tensor,
     /// Bias, shape `[out]`.
     pub bias: Tensor,
+}
+
+/// Weight and bias of a layer on the device in one tensor, or their gradient.
+#[derive(Clone, Debug)]
+pub struct JoinedLayer {
+    /// The weight in the layout of the kernels, then the bias.
+    pub weight_and_bias: Tensor,
+    /// First element of the bias.
+    pub bias: usize,
+}
+
+impl JoinedLayer {
+    /// Panics unless this is a head with one output of this many inputs.
+    pub(in crate::kernels) fn check_head(&self, inputs: usize) {
+        let len = self.weight_and_bias.len();
+        assert!(inputs <= self.bias && self.bias < len, "a head of {inputs} inputs, of {len} elements");
+    }
 }

@@ -1,6 +1,6 @@
 //! Host side of `shaders/optim/answer_rows.wgsl`.
 
-use super::{Fields, Iterate};
+use super::{Fields, Iterate, Reacting};
 use crate::Result;
 use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
@@ -10,7 +10,7 @@ use crate::kernels::{common, pieces, size};
 pub(crate) const SOURCE: Source = Source {
     name: "answer_rows",
     wgsl: include_str!("../../../shaders/optim/answer_rows.wgsl"),
-    appended: &[common::MARK, pieces::FOUR_FIELDS],
+    appended: &[common::MARK, pieces::FOUR_FIELDS, pieces::ROWS_BACK, pieces::ROWS_FORWARD],
 };
 
 #[repr(C)]
@@ -18,37 +18,69 @@ pub(crate) const SOURCE: Source = Source {
 struct Params {
     rows: u32,
     columns: u32,
+    room: u32,
 }
 
-/// Finds what the step across a sheet leaves to be done along it, and transforms its rows.
+/// Transforms the rows of the fields in space and across the sheet back, where handles hold, and forward what the step across leaves to be
+/// done along it.
 #[derive(Clone, Debug)]
 pub struct AnswerRows {
     kernel: Kernel,
+    tile: Tile,
+}
+
+/// What a workgroup computes at once.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Tile {
+    /// Rows, of which the first and the last are its neighbours' own.
+    rows: usize,
+    /// Teams of invocations, each with 32 columns.
+    teams: usize,
+}
+
+impl Tile {
+    /// Chooses it for rows of this grid: few rows for many workgroups, or without workgroup memory, on processors, as few as possible that
+    /// are computed twice. A workgroup has at most 256 invocations and 16 KiB of memory.
+    fn new(grid: Grid, staged: bool) -> Self {
+        let teams = grid.w.div_ceil(32).next_power_of_two().min(4);
+        let (teams, most) = if staged { (teams, 8) } else { (teams.div_ceil(2), 22) };
+        let groups = grid.h.div_ceil(most.min(32 / teams) - 2);
+        Self { rows: (grid.h.div_ceil(groups) + 2).max(8), teams }
+    }
 }
 
 impl AnswerRows {
-    /// Builds the kernel.
-    pub fn new(context: &Context) -> Result<Self> {
-        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &Fields::Tangents.constants()[..1])? })
+    /// Builds the kernel for rows of this grid, whose operands on the way back go through workgroup memory if `staged`.
+    pub fn new(context: &Context, grid: Grid, staged: bool) -> Result<Self> {
+        let tile = Tile::new(grid, staged);
+        let constants = [
+            ("ROWS", tile.rows as f64),
+            ("TEAMS", tile.teams as f64),
+            ("STAGED", f64::from(u8::from(staged))),
+        ];
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &constants)?, tile })
     }
 
-    /// Sets `z` ([`Fields::Tangents`]) from the gradient [B, 3, n] of `iterate`, the `axes` [B, 16, n] of the sheet, the first
-    /// four fields of `y` ([`Fields::shape_of_all`]) and [`super::cosine_rows::table`] of W points.
+    /// Transforms [`Fields::SpaceAndNormal`] of `z` ([`Fields::shape`]) to `y`, of the same shape, and sets [`Fields::Tangents`] of `z`
+    /// from these, the gradient [B, 3, n] of `iterate` and the `axes` [B, 16, n] of the sheet, with
+    /// [`super::cosine_rows::table`] of W points. The other fields of `y` are overwritten.
     pub fn push(
         &self,
         schedule: &mut Schedule,
         grid: Grid,
-        (iterate, axes): (&Iterate, &Tensor),
-        [table, y, z]: [&Tensor; 3],
+        (iterate, axes, reacting): (&Iterate, &Tensor, &Reacting),
+        [table, z, y]: [&Tensor; 3],
     ) {
         let (samples, n) = iterate.samples_and_particles();
         let batch = samples / 3;
         assert_eq!((n, axes.shape()), (grid.particles(), &[batch, AXES, n][..]));
-        assert_eq!((table.shape(), y.shape()), (&[grid.w; 2][..], &Fields::shape_of_all(batch, grid)[..]));
-        assert_eq!(z.shape(), Fields::Tangents.shape(batch, grid));
-        let params = Params { rows: size(grid.h), columns: size(grid.w) };
-        let tensors = [&iterate.grad, &iterate.marks, axes, table, y, z];
-        let groups = [grid.w.div_ceil(32), grid.h.div_ceil(8), batch].map(size);
+        assert_eq!(table.shape(), [grid.w; 2]);
+        assert_eq!([z, y].map(Tensor::shape), [&Fields::shape(batch, grid)[..]; 2]);
+        let room = size(reacting.room(batch, n));
+        let params = Params { rows: size(grid.h), columns: size(grid.w), room };
+        let Reacting { handles, fields } = reacting;
+        let tensors = [table, &iterate.marks, axes, handles, fields, &iterate.grad, z, y];
+        let groups = [1, grid.h.div_ceil(self.tile.rows - 2), batch].map(size);
         schedule.dispatch(&self.kernel, &params, &tensors, groups);
     }
 }

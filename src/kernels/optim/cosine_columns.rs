@@ -38,20 +38,17 @@ impl Fields {
         }
     }
 
-    /// Returns their shape for each of `batch` cloths, [B, 4 or 2, H, W].
-    pub fn shape(self, batch: usize, grid: Grid) -> [usize; 4] {
-        [batch, self.count(), grid.h, grid.w]
+    /// Returns the first of them among those of both.
+    pub fn first(self) -> usize {
+        match self {
+            Self::SpaceAndNormal => 0,
+            Self::Tangents => 4,
+        }
     }
 
-    /// Returns the shape of the steps of both, [B, 6, H, W].
-    pub fn shape_of_all(batch: usize, grid: Grid) -> [usize; 4] {
+    /// Returns the shape of both of `batch` cloths, [B, 6, H, W].
+    pub fn shape(batch: usize, grid: Grid) -> [usize; 4] {
         [batch, 6, grid.h, grid.w]
-    }
-
-    /// Returns the constants that tell a kernel: their number, and the first one among all.
-    pub(super) fn constants(self) -> [(&'static str, f64); 2] {
-        let first = if self == Self::Tangents { 4.0 } else { 0.0 };
-        [("FIELDS", self.count() as f64), ("FIRST", first)]
     }
 }
 
@@ -80,10 +77,9 @@ impl CosineColumns {
     /// Builds the kernel for columns of this grid, which go through workgroup memory if `staged`.
     pub fn new(context: &Context, fields: Fields, grid: Grid, staged: bool) -> Result<Self> {
         let of_sheet = SheetConstants::FITTED;
-        let [count, first] = fields.constants();
         let constants = [
-            count,
-            first,
+            ("FIELDS", fields.count() as f64),
+            ("FIRST", fields.first() as f64),
             ("STAGED", f64::from(u8::from(staged))),
             ("LANES", lanes(grid) as f64),
             ("TAU", TENSION),
@@ -95,8 +91,8 @@ impl CosineColumns {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &constants)?, fields, grid })
     }
 
-    /// Multiplies `z` ([`Fields::shape`]), with the materials of `cloths` \[B\], [`super::cosine_rows::table`] of H points and
-    /// [`squared_frequencies`]. The same fields of `y` ([`Fields::shape_of_all`]) are overwritten.
+    /// Multiplies its fields of `z` ([`Fields::shape`]), with the materials of `cloths` \[B\], [`super::cosine_rows::table`] of H points
+    /// and [`squared_frequencies`]. The same fields of `y`, of the same shape, are overwritten.
     pub fn push(
         &self,
         schedule: &mut Schedule,
@@ -104,8 +100,7 @@ impl CosineColumns {
         [z, y]: [&Tensor; 2],
     ) {
         let (grid, batch) = (self.grid, z.shape()[0]);
-        assert_eq!(z.shape(), self.fields.shape(batch, grid));
-        assert_eq!(y.shape(), Fields::shape_of_all(batch, grid));
+        assert_eq!([z, y].map(Tensor::shape), [&Fields::shape(batch, grid)[..]; 2]);
         assert_eq!(cloths.bytes() as usize, batch * size_of::<ClothParams>());
         assert_eq!((table.shape(), mu.len()), (&[grid.h; 2][..], grid.h + grid.w));
         let params = Params { rows: size(grid.h), columns: size(grid.w) };

@@ -11,7 +11,7 @@ use crate::kernels::{common, pieces, size};
 pub(crate) const SOURCE: Source = Source {
     name: "cosine_rows",
     wgsl: include_str!("../../../shaders/optim/cosine_rows.wgsl"),
-    appended: &[common::MARK, pieces::FOUR_FIELDS],
+    appended: &[common::MARK, pieces::FOUR_FIELDS, pieces::ROWS_FORWARD],
 };
 
 #[repr(C)]
@@ -41,7 +41,7 @@ impl CosineRows {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &constants)? })
     }
 
-    /// Sets `z` ([`Fields::SpaceAndNormal`]) from the gradient [B, 3, n] of `iterate`, the `axes` [B, 16, n] of the sheet and
+    /// Sets [`Fields::SpaceAndNormal`] of `z` ([`Fields::shape`]) from the gradient [B, 3, n] of `iterate`, the `axes` [B, 16, n] of the sheet and
     /// the [`table`] of W points.
     pub fn push(
         &self,
@@ -53,10 +53,7 @@ impl CosineRows {
         let (samples, n) = iterate.samples_and_particles();
         let batch = samples / 3;
         assert_eq!((n, axes.shape()), (grid.particles(), &[batch, AXES, n][..]));
-        assert_eq!(
-            (table.shape(), z.shape()),
-            (&[grid.w; 2][..], &Fields::SpaceAndNormal.shape(batch, grid)[..])
-        );
+        assert_eq!((table.shape(), z.shape()), (&[grid.w; 2][..], &Fields::shape(batch, grid)[..]));
         let params = Params { rows: size(grid.h), columns: size(grid.w) };
         let tensors = [&iterate.grad, &iterate.marks, axes, table, z];
         let groups = [grid.w.div_ceil(32), grid.h.div_ceil(8), batch].map(size);

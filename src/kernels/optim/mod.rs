@@ -3,7 +3,6 @@
 
 pub mod adam;
 pub mod answer_rows;
-pub mod cosine_back;
 pub mod cosine_columns;
 pub mod cosine_order;
 pub mod cosine_rows;
@@ -15,7 +14,7 @@ pub mod lbfgs;
 mod quasi_newton;
 mod reacting;
 pub mod rest_modes;
-pub mod step_scale;
+pub mod sheet_steps;
 mod subspace;
 pub mod subspace_step;
 pub mod update;
@@ -23,7 +22,6 @@ pub mod update_adj;
 
 pub use adam::Adam;
 pub use answer_rows::AnswerRows;
-pub use cosine_back::CosineBack;
 pub use cosine_columns::{CosineColumns, Fields};
 pub use cosine_order::CosineOrder;
 pub use cosine_rows::CosineRows;
@@ -34,7 +32,7 @@ pub use lbfgs::{Lbfgs, LbfgsMemory, Part};
 pub use quasi_newton::QuasiNewton;
 pub use reacting::Reacting;
 pub use rest_modes::RestModes;
-pub use step_scale::StepScale;
+pub use sheet_steps::SheetSteps;
 pub use subspace::Subspace;
 pub use subspace_step::{SubspaceStep, When};
 pub use update::{Update, UpdateTensors};

@@ -4,7 +4,7 @@ use super::cosine_columns::squared_frequencies;
 use super::cosine_rows::table;
 use super::subspace_step::STATE;
 use super::{
-    AnswerRows, CosineBack, CosineColumns, CosineRows, Extrapolate, Fields, Reacting, SubspaceStep, When,
+    AnswerRows, CosineColumns, CosineRows, Extrapolate, Fields, Reacting, SheetSteps, SubspaceStep, When,
     directions,
 };
 use crate::Result;
@@ -29,9 +29,10 @@ pub struct Subspace {
     axes_kernel: SheetAxes,
     extrapolate: Extrapolate,
     rows: CosineRows,
-    answer_rows: AnswerRows,
     /// Of the fields in space and across the sheet, and of those along it.
-    inverses: [Inverse; 2],
+    columns: [CosineColumns; 2],
+    answer_rows: AnswerRows,
+    sheet_steps: SheetSteps,
     step: SubspaceStep,
     /// Cosine matrices along a column and along a row.
     tables: [Tensor; 2],
@@ -40,10 +41,9 @@ pub struct Subspace {
     /// Axes of the sheet, shape [B, 16, n].
     axes: Tensor,
     reacting: Reacting,
-    /// Four fields whose rows are transformed, shape [B, 4, H, W].
-    z: Tensor,
-    /// What comes back, of the fields in space and across the sheet, and space for those along it, shape [B, 6, H, W].
-    y: Tensor,
+    /// The fields, whose rows are transformed, and working space, where those in space and across the sheet are in the end, shape
+    /// [B, 6, H, W] each.
+    modes: [Tensor; 2],
     /// Shape [K, slot].
     directions: Tensor,
     /// Accelerations of the frame before the last one, 0 at handles; shape [B, 3, n].
@@ -52,21 +52,6 @@ pub struct Subspace {
     parts: Tensor,
     /// Shape [iterations + 2, B, 5].
     state: Tensor,
-}
-
-/// The inverse Hessian of some fields of a sheet whose rows are transformed.
-#[derive(Clone, Debug)]
-struct Inverse {
-    fields: Fields,
-    columns: CosineColumns,
-    back: CosineBack,
-}
-
-impl Inverse {
-    fn new(context: &Context, fields: Fields, grid: Grid, staged: bool) -> Result<Self> {
-        let columns = CosineColumns::new(context, fields, grid, staged)?;
-        Ok(Self { fields, columns, back: CosineBack::new(context, fields, staged)? })
-    }
 }
 
 impl Subspace {
@@ -87,18 +72,21 @@ impl Subspace {
             axes_kernel: SheetAxes::new(context)?,
             extrapolate: Extrapolate::new(context)?,
             rows: CosineRows::new(context, staged)?,
-            answer_rows: AnswerRows::new(context)?,
-            inverses: [
-                Inverse::new(context, Fields::SpaceAndNormal, grid, staged)?,
-                Inverse::new(context, Fields::Tangents, grid, staged)?,
+            columns: [
+                CosineColumns::new(context, Fields::SpaceAndNormal, grid, staged)?,
+                CosineColumns::new(context, Fields::Tangents, grid, staged)?,
             ],
+            answer_rows: AnswerRows::new(context, grid, staged)?,
+            sheet_steps: SheetSteps::new(context, staged)?,
             step: SubspaceStep::new(context)?,
             tables: [table(context, grid.h)?, table(context, grid.w)?],
             mu: squared_frequencies(context, grid)?,
             axes: zeros("subspace.axes", &[batch, AXES, grid.particles()])?,
             reacting: Reacting::new(context, room, (grid, batch))?,
-            z: zeros("subspace.modes", &Fields::SpaceAndNormal.shape(batch, grid))?,
-            y: zeros("subspace.steps", &Fields::shape_of_all(batch, grid))?,
+            modes: [
+                zeros("subspace.modes", &Fields::shape(batch, grid))?,
+                zeros("subspace.fields", &Fields::shape(batch, grid))?,
+            ],
             directions: zeros("subspace.directions", &directions::shape(count, batch, grid))?,
             earlier: zeros("subspace.earlier", &[batch, 3, grid.particles()])?,
             parts: zeros("subspace.parts", &curvature::parts_shape(batch, grid))?,
@@ -145,29 +133,23 @@ impl Subspace {
         self.reacting.write(context, model);
     }
 
-    /// Moves the iterate, which was evaluated, by the step of `iteration`, counted from 0. Eight dispatches, and
+    /// Moves the iterate, which was evaluated, by the step of `iteration`, counted from 0. Seven dispatches, and
     /// another with a repulsion, and two with bodies.
     pub fn push(&self, schedule: &mut Schedule, objective: &Objective, iteration: usize) {
         assert!(iteration < self.iterations, "iteration {iteration} of {}", self.iterations);
         let (grid, iterate) = (objective.grid(), &objective.iterate);
-        let Self { axes, directions, z, y, tables: [_, along_row], .. } = self;
-        let [space_and_normal, tangents] = &self.inverses;
+        let Self { axes, reacting, directions, modes: [z, y], tables: [along_column, along_row], .. } = self;
+        let of_columns = (objective.cloths(), along_column, &self.mu);
+        let of_sheet = (iterate, axes, reacting);
+        let [space_and_normal, tangents] = &self.columns;
         self.rows.push(schedule, grid, (iterate, axes), [along_row, z]);
-        self.apply(schedule, objective, space_and_normal, z);
-        let z = z.view(0, &tangents.fields.shape(objective.batch(), grid));
-        self.answer_rows.push(schedule, grid, (iterate, axes), [along_row, y, &z]);
-        self.apply(schedule, objective, tangents, &z);
+        space_and_normal.push(schedule, of_columns, [z, y]);
+        self.answer_rows.push(schedule, grid, of_sheet, [along_row, z, y]);
+        tangents.push(schedule, of_columns, [z, y]);
+        self.sheet_steps.push(schedule, grid, of_sheet, [along_row, z, y, directions]);
         objective.local_model(schedule, directions, &self.parts);
         self.decide(schedule, objective, When::Iteration(iteration));
         objective.confine(schedule, Some(directions));
-    }
-
-    /// Multiplies fields by their inverse Hessian, from `z`, whose rows are transformed, to `y`, or on to the directions. Two dispatches.
-    fn apply(&self, schedule: &mut Schedule, objective: &Objective, inverse: &Inverse, z: &Tensor) {
-        let Self { axes, reacting, y, directions, tables: [along_column, along_row], .. } = self;
-        inverse.columns.push(schedule, (objective.cloths(), along_column, &self.mu), [z, y]);
-        let of_sheet = (&objective.iterate, axes, reacting);
-        inverse.back.push(schedule, objective.grid(), of_sheet, [along_row, z, y, directions]);
     }
 
     /// Ends a frame: takes the last step back if it has increased the energy. Two dispatches, without a repulsion.

@@ -45,7 +45,6 @@ mod sheet_axes;
 mod sheet_steps;
 mod spectral;
 mod spectral_weight_adj;
-mod step_scale;
 mod subspace_step;
 mod transform_rows;
 mod transpose;

@@ -4,7 +4,7 @@ use crate::common::{by_rows, noise, tensor};
 use fnopt::cloth::Grid;
 use fnopt::cpu::Real;
 use fnopt::gpu::Tensor;
-use fnopt::kernels::operator::{Layer, pointwise, spectral};
+use fnopt::kernels::operator::{JoinedLayer, Layer, pointwise, spectral};
 use fnopt::kernels::padded;
 use fnopt::network::Config;
 use std::f64::consts::TAU;
@@ -65,6 +65,14 @@ pub fn head(inputs: usize) -> (Vec<f32>, f32, Layer) {
     let on_device =
         Layer { weight: tensor("weight", &[inputs], &weight), bias: tensor("bias", &[1], &[bias]) };
     (weight, bias, on_device)
+}
+
+/// As [`head`], in one tensor, where the bias is not next to the weight.
+pub fn joined_head(inputs: usize) -> (Vec<f32>, f32, JoinedLayer) {
+    let (weight, bias) = (noise(inputs, 14), 0.3);
+    let both = [&weight[..], &[f32::NAN; 3], &[bias]].concat();
+    let weight_and_bias = tensor("weight and bias", &[inputs + 4], &both);
+    (weight, bias, JoinedLayer { weight_and_bias, bias: inputs + 3 })
 }
 
 /// Returns `weight x + bias` at every position, [S, O, n] from `x` [S, I, n].

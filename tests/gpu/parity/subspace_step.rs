@@ -325,7 +325,7 @@ fn frames_lower_the_energy() {
                     objective.evaluate(schedule, &sums);
                     let before = schedule.dispatches();
                     plan.push(schedule, &objective, iteration);
-                    assert_eq!(schedule.dispatches(), before + 8 + usize::from(repels));
+                    assert_eq!(schedule.dispatches(), before + 7 + usize::from(repels));
                 }
                 plan.end(schedule, &objective);
             });

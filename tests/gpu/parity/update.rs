@@ -1,11 +1,13 @@
 //! `update` against its formula.
 
 use super::cloth::{field, iterate_with_hidden, model};
+use super::operator::joined_head;
 use crate::common::{
     ROUNDING, assert_close, cases, context, device, noise, pad, poisoned, read, run, tensor,
 };
 use fnopt::cloth::Grid;
-use fnopt::kernels::operator::{Layer, ScalarHead, Scales};
+use fnopt::kernels::cloth::gradient;
+use fnopt::kernels::operator::{LastStep, ScalarHead, Scales};
 use fnopt::kernels::optim::{Update, UpdateTensors};
 use fnopt::kernels::padded;
 
@@ -37,7 +39,7 @@ fn learned_steps_match() {
             let parts =
                 [0.5, 0.25, 0.25].map(|part| output.iter().map(|v| part * v).collect::<Vec<_>>()).concat();
             let field = tensor("field", &[3, count, grid.h, padded(grid.w)], &pad(&parts, grid, f32::NAN));
-            let scales = Scales { tensor: &scale, before: 0, after: 64 + first };
+            let scales = Scales { tensor: &scale, before: 0, after: 64 + first, last_step: None };
             let from = UpdateTensors { field: &field, first, scales, head: None, direction: None };
             run(|schedule| kernel.push(schedule, grid, from, &iterate));
         }
@@ -68,20 +70,22 @@ fn non_finite_numbers_stay_non_finite() {
     }
 }
 
-/// Steps that compute the scale themselves have the bits of a scalar head followed by a step.
+/// Steps that compute the scale themselves have the bits of a scalar head followed by a step, also as directions, whose scales begin with
+/// the size of the last step.
 #[test]
 fn steps_with_the_scalar_head_match() {
     let _turn = device();
-    let (kernel, head) = (Update::new(context()).unwrap(), ScalarHead::new(context()).unwrap());
-    for ((grid, batch), channels) in
-        cases().chain([(LARGE, 1)]).flat_map(|case| [(case, 40), (case, 64), (case, 130)])
+    let (kernel, scalar_head) = (Update::new(context()).unwrap(), ScalarHead::new(context()).unwrap());
+    let sizes = [(40, false), (64, true), (130, false), (40, true)];
+    for ((grid, batch), (channels, proposes)) in
+        cases().chain([(LARGE, 1)]).flat_map(|case| sizes.map(|size| (case, size)))
     {
         let model = model(grid, batch);
         let (samples, n) = (3 * batch, grid.particles());
-        let layer = Layer {
-            weight: tensor("weight", &[channels], &noise(channels, 105)),
-            bias: tensor("bias", &[1], &[0.3]),
-        };
+        let (_, _, layer) = joined_head(channels);
+        let parts = gradient::parts(grid);
+        let sums: Vec<f32> = noise(2 * samples * parts, 108).iter().map(|v| v * v).collect();
+        let sums = tensor("sums", &[samples, parts, 2], &sums);
         let [grad, a] = [101, 103].map(|seed| field(&model, 1.0, seed));
         let before: Vec<f32> = (0..samples).map(|s| 0.05 * (s + 1) as f32).collect();
         let scales = [before, vec![f32::NAN; samples]].concat();
@@ -90,6 +94,7 @@ fn steps_with_the_scalar_head_match() {
             iterate.grad.write(context(), &grad);
             iterate.a.write(context(), &a);
             let scale = tensor("scale", &[2 * samples], &scales);
+            let direction = proposes.then(|| poisoned("direction", &[batch, 3, n]));
             for (first, count) in [(0, 1), (1, samples - 1)] {
                 let output = noise(count * n, 104 + first as u64);
                 let field = pad(&output, grid, f32::NAN);
@@ -97,21 +102,23 @@ fn steps_with_the_scalar_head_match() {
                 let rows = noise(count * grid.h * channels, 107 + first as u64);
                 let rows_max = tensor("rows_max", &[count, grid.h, channels], &rows);
                 run(|schedule| {
-                    let scales = Scales { tensor: &scale, before: first, after: samples + first };
+                    let last_step = proposes.then_some(LastStep { sums: &sums, first, particles: n });
+                    let scales = Scales { tensor: &scale, before: first, after: samples + first, last_step };
                     if !fused {
                         let scalar = poisoned("scalar", &[count]);
-                        head.push(schedule, &layer, (&rows_max, &scalar), Some(scales));
+                        scalar_head.push(schedule, &layer, (&rows_max, &scalar), Some(scales));
                     }
                     let head = fused.then_some((&layer, &rows_max));
                     kernel.push(
                         schedule,
                         grid,
-                        UpdateTensors { field: &field, first, scales, head, direction: None },
+                        UpdateTensors { field: &field, first, scales, head, direction: direction.as_ref() },
                         &iterate,
                     );
                 });
             }
-            (read(&scale), read(&iterate.a), read(iterate.hidden_state()))
+            let step = read(direction.as_ref().unwrap_or(&iterate.a));
+            (read(&scale), step, read(iterate.hidden_state()))
         });
         let [alone, fused] = outcomes;
         assert!(fused.1.iter().all(|a| a.is_finite()), "{batch} x {grid}");

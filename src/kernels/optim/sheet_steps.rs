@@ -1,4 +1,4 @@
-//! Host side of `shaders/optim/cosine_back.wgsl`.
+//! Host side of `shaders/optim/sheet_steps.wgsl`.
 
 use super::{Fields, Iterate, Reacting, directions};
 use crate::Result;
@@ -8,9 +8,9 @@ use crate::kernels::cloth::sheet_axes::AXES;
 use crate::kernels::{common, pieces, size};
 
 pub(crate) const SOURCE: Source = Source {
-    name: "cosine_back",
-    wgsl: include_str!("../../../shaders/optim/cosine_back.wgsl"),
-    appended: &[common::MARK, pieces::FOUR_FIELDS],
+    name: "sheet_steps",
+    wgsl: include_str!("../../../shaders/optim/sheet_steps.wgsl"),
+    appended: &[common::MARK, pieces::FOUR_FIELDS, pieces::ROWS_BACK],
 };
 
 #[repr(C)]
@@ -22,24 +22,22 @@ struct Params {
     slot: u32,
 }
 
-/// Transforms the rows of fields back, where handles hold, and makes steps of them.
+/// Transforms the rows of the fields along a sheet back, where handles hold, and makes the steps of all its fields.
 #[derive(Clone, Debug)]
-pub struct CosineBack {
+pub struct SheetSteps {
     kernel: Kernel,
-    fields: Fields,
 }
 
-impl CosineBack {
+impl SheetSteps {
     /// Builds the kernel, whose operands go through workgroup memory if `staged`.
-    pub fn new(context: &Context, fields: Fields, staged: bool) -> Result<Self> {
-        let [count, _] = fields.constants();
-        let constants = [count, ("STAGED", f64::from(u8::from(staged)))];
-        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &constants)?, fields })
+    pub fn new(context: &Context, staged: bool) -> Result<Self> {
+        let constants = [("STAGED", f64::from(u8::from(staged)))];
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &constants)? })
     }
 
-    /// Transforms `z` ([`Fields::shape`]) with [`super::cosine_rows::table`] of W points. [`Fields::SpaceAndNormal`] set the first four fields of `y`
-    /// ([`Fields::shape_of_all`]). [`Fields::Tangents`] take these to set the spectral and the co-rotated slot of `directions`
-    /// ([`directions::shape`]), with the `axes` [B, 16, n] of the sheet.
+    /// Transforms [`Fields::Tangents`] of `z` ([`Fields::shape`]) with [`super::cosine_rows::table`] of W points, and sets the spectral and
+    /// the co-rotated slot of `directions` ([`directions::shape`]) from these and the other fields of `y`, with the `axes`
+    /// [B, 16, n] of the sheet.
     pub fn push(
         &self,
         schedule: &mut Schedule,
@@ -50,8 +48,8 @@ impl CosineBack {
         let (samples, n) = iterate.samples_and_particles();
         let batch = samples / 3;
         assert_eq!((n, axes.shape()), (grid.particles(), &[batch, AXES, n][..]));
-        assert_eq!(z.shape(), self.fields.shape(batch, grid));
-        assert_eq!((table.shape(), y.shape()), (&[grid.w; 2][..], &Fields::shape_of_all(batch, grid)[..]));
+        assert_eq!(table.shape(), [grid.w; 2]);
+        assert_eq!([z, y].map(Tensor::shape), [&Fields::shape(batch, grid)[..]; 2]);
         let params = Params {
             rows: size(grid.h),
             columns: size(grid.w),
