@@ -14,11 +14,12 @@
 // reactions: [B, K, 4, H, W], in space, along t1 and t2, and across
 // grad: [B, 3, H, W]
 // z: [B, 6, H, W]
-// y: [B, 6, H, W]; fields 4 and 5 are working space: y_3 in the rows before and after those of a workgroup, which transforms
-//   these, too, instead of waiting for another
+// y: [B, 6, H, W]; with MARGIN fields 4 and 5 are working space: y_3 in the rows before and after a workgroup's own
 //
-// One workgroup per ROWS - 2 whole rows, one invocation per four columns of a row, all fields, or several.
-// Workgroups: (1, H / (ROWS - 2), B).
+// With BACK and ANSWERS, a workgroup has ROWS - 2 whole rows, and with a MARGIN of 1 it transforms the rows beside these, too, instead of waiting for
+// others. Rows that are too long for that take two dispatches without a MARGIN, in which columns are divided, too.
+//
+// One invocation per four columns of a row, all fields, or several. Workgroups: (1 or W / (32 TEAMS), H / (ROWS - 2 MARGIN), B).
 // Adjoint: none, the optimizer is not trained.
 
 struct Params {
@@ -40,10 +41,20 @@ struct Params {
 const FIELDS: u32 = 4u;
 const FIRST: u32 = 0u;
 
+override BACK: bool = true;
+override ANSWERS: bool = true;
+// Rows before and after a workgroup's own that it transforms, 1 or 0.
+override MARGIN: u32 = 1;
+override OWN_ROWS: u32 = ROWS - 2u * MARGIN;
+
 // Steps across at the particles that are multiplied at once and at those around them.
 const BESIDE: u32 = DEPTH + 2u;
-override AROUND: u32 = ROWS * BESIDE;
+override AROUND: u32 = (OWN_ROWS + 2u) * BESIDE;
 var<workgroup> steps: array<vec3f, AROUND>;
+
+fn is_own(row: u32) -> bool {
+    return row >= MARGIN && row + MARGIN < ROWS;
+}
 
 // Writes the fields of four columns of row i, as far as they exist; `row` in the tile.
 fn keep_row(b: u32, row: u32, i: u32, column: u32) {
@@ -53,7 +64,7 @@ fn keep_row(b: u32, row: u32, i: u32, column: u32) {
     let n = params.rows * params.columns;
     let at = 6u * b * n + i * params.columns + column;
     let columns = params.columns - column;
-    if row > 0u && row + 1u < ROWS {
+    if is_own(row) {
         keep_field(at, sum0, columns);
         keep_field(at + n, sum1, columns);
         keep_field(at + 2u * n, sum2, columns);
@@ -63,6 +74,9 @@ fn keep_row(b: u32, row: u32, i: u32, column: u32) {
 
 // Returns where the field across of a row in the tile is in y.
 fn field_across(row: u32) -> u32 {
+    if MARGIN == 0u {
+        return 3u;
+    }
     return select(select(3u, 5u, row + 1u == ROWS), 4u, row == 0u);
 }
 
@@ -80,7 +94,7 @@ fn axis(b: u32, first: u32, p: u32) -> vec3f {
     return vec3f(axes[at], axes[at + n], axes[at + 2u * n]);
 }
 
-// Returns the step across at the particle in row i, `row` in the tile, and the column after j, counted from one before the first; 0 where none is
+// Returns the step across at the particle in row i, `row` among those around the workgroup's own, and the column after j, counted from one before the first; 0 where none is
 // free. All is loaded before it is known whether it counts, so that loads don't wait for each other.
 fn step_across(b: u32, row: u32, i: u32, after_j: u32) -> vec3f {
     let n = params.rows * params.columns;
@@ -135,42 +149,53 @@ fn add_answers(lane: u32) {
 }
 
 @compute @workgroup_size(LANES)
-fn answer_rows(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3u) {
+fn answer_rows(
+    @builtin(local_invocation_index) lane: u32,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+) {
     let b = group.z;
-    // The first and the last row of a tile are others' own. That before the first row of all is past the last one.
-    let first_row = (ROWS - 2u) * group.y - 1u;
+    let first_own = OWN_ROWS * group.y;
     let row = row_of(lane);
-    let i = first_row + row;
+    // A row before the first one of all is past the last one.
+    let i = first_own - MARGIN + row;
     let quad = quad_of(lane);
     // Not plainly a parameter (see `cosine_columns`), and the same for the whole workgroup, because of the barriers.
     let columns = params.columns + (group.z >> 31u);
-    for (var first = 0u; first < columns; first += 32u * TEAMS) {
-        transform_back(b, lane, first_row, first);
-        react_to_handles(b, lane, i, first + 4u * quad);
-        keep_row(b, row, i, first + 4u * quad);
+    let own_columns = 32u * TEAMS * group.x;
+    if BACK {
+        for (var first = own_columns; first < columns; first += 32u * TEAMS * groups.x) {
+            transform_back(b, lane, first_own - MARGIN, first);
+            react_to_handles(b, lane, i, first + 4u * quad);
+            keep_row(b, row, i, first + 4u * quad);
+        }
     }
     // What follows reads what other invocations wrote.
     storageBarrier();
-    for (var first_mode = 0u; first_mode < columns; first_mode += 32u * TEAMS) {
+    if !ANSWERS {
+        return;
+    }
+    for (var first_mode = own_columns; first_mode < columns; first_mode += 32u * TEAMS * groups.x) {
         clear_sums();
         for (var first = 0u; first < columns; first += DEPTH) {
             workgroupBarrier();
-            for (var k = lane; k < ROWS * BESIDE; k += LANES) {
-                steps[k] = step_across(b, k / BESIDE, first_row + k / BESIDE, first + k % BESIDE);
+            for (var k = lane; k < AROUND; k += LANES) {
+                steps[k] = step_across(b, k / BESIDE, first_own - 1u + k / BESIDE, first + k % BESIDE);
             }
             workgroupBarrier();
             // Neighbouring invocations read neighbouring elements of particles.
-            for (var k = lane; k < (ROWS - 2u) * DEPTH; k += LANES) {
-                let own = k / DEPTH + 1u;
+            for (var k = lane; k < OWN_ROWS * DEPTH; k += LANES) {
+                let own = k / DEPTH;
                 let depth = k % DEPTH;
-                load_particle(b, first_row + own, first + depth, own * BESIDE + depth + 1u, depth * STRIDE + own);
+                let place = depth * STRIDE + MARGIN + own;
+                load_particle(b, first_own + own, first + depth, (own + 1u) * BESIDE + depth + 1u, place);
             }
             load_factors(lane, first, first_mode);
             workgroupBarrier();
             add_answers(lane);
         }
         let column = first_mode + 4u * quad;
-        if row > 0u && row + 1u < ROWS && i < params.rows && column < params.columns {
+        if is_own(row) && i < params.rows && column < params.columns {
             let n = params.rows * params.columns;
             let at = (6u * b + 4u) * n + i * params.columns + column;
             keep_modes(at, sum0, params.columns - column);

@@ -134,7 +134,7 @@ impl Subspace {
     }
 
     /// Moves the iterate, which was evaluated, by the step of `iteration`, counted from 0. Seven dispatches, and
-    /// another with a repulsion, and two with bodies.
+    /// another where rows are longer than 128 particles, another with a repulsion, and two with bodies.
     pub fn push(&self, schedule: &mut Schedule, objective: &Objective, iteration: usize) {
         assert!(iteration < self.iterations, "iteration {iteration} of {}", self.iterations);
         let (grid, iterate) = (objective.grid(), &objective.iterate);

@@ -70,7 +70,7 @@ fn fields_of(fields: Fields, marks: &[bool], forces: &[f32], axes: &[f32]) -> Ve
 
 /// Sides of all parities, shorter and longer than the tiles.
 fn grids() -> impl Iterator<Item = (Grid, usize)> {
-    cases().chain([(9, 31), (150, 8), (33, 65)].map(|(h, w)| (Grid { h, w }, 2)))
+    cases().chain([(9, 31), (150, 8), (33, 65), (10, 131)].map(|(h, w)| (Grid { h, w }, 2)))
 }
 
 /// What the transforms of a batch need.
