@@ -16,8 +16,8 @@
 // z: [B, 6, H, W]
 // y: [B, 6, H, W]; with MARGIN fields 4 and 5 are working space: y_3 in the rows before and after a workgroup's own
 //
-// With BACK and ANSWERS, a workgroup has ROWS - 2 whole rows, and with a MARGIN of 1 it transforms the rows beside these, too, instead of waiting for
-// others. Rows that are too long for that take two dispatches without a MARGIN, in which columns are divided, too.
+// With BACK and ANSWERS a workgroup has whole rows, and with a MARGIN of 1 it transforms those beside them, too, instead of waiting for others. Rows
+// that are too long for that take two dispatches, one for either, without a MARGIN and with columns divided, too.
 //
 // One invocation per four columns of a row, all fields, or several. Workgroups: (1 or W / (32 TEAMS), H / (ROWS - 2 MARGIN), B).
 // Adjoint: none, the optimizer is not trained.
@@ -94,8 +94,8 @@ fn axis(b: u32, first: u32, p: u32) -> vec3f {
     return vec3f(axes[at], axes[at + n], axes[at + 2u * n]);
 }
 
-// Returns the step across at the particle in row i, `row` among those around the workgroup's own, and the column after j, counted from one before the first; 0 where none is
-// free. All is loaded before it is known whether it counts, so that loads don't wait for each other.
+// Returns the step across at the particle in row i, `row` among the workgroup's own and those beside them, and the column after j, counted from
+// one before the first; 0 where none is free. All is loaded before it is known whether it counts, so that loads don't wait for each other.
 fn step_across(b: u32, row: u32, i: u32, after_j: u32) -> vec3f {
     let n = params.rows * params.columns;
     let j = clamp(after_j, 1u, params.columns) - 1u;
