@@ -35,9 +35,10 @@ struct Params {
 /// The learned step.
 #[derive(Clone, Debug)]
 pub struct Update {
-    /// Without the scalar head, with it, and with one that begins with the size of the last step.
-    moves: [Kernel; 3],
-    proposes: [Kernel; 3],
+    /// Without and with the scalar head.
+    moves: [Kernel; 2],
+    /// The scale of a proposal begins with the size of the last step.
+    proposes: [Kernel; 2],
     /// Bound in place of the head and the sums if there are none, and of the marks if they are not needed.
     nothing: Tensor,
 }
@@ -64,16 +65,13 @@ const MAX_GROUPS: usize = 64;
 impl Update {
     /// Builds the kernels.
     pub fn new(context: &Context) -> Result<Self> {
-        let kernels = |proposes: f64| {
-            let kernel = |head: f64, of_step: f64| {
-                let constants = [("HEAD", head), ("OF_STEP", of_step), ("PROPOSES", proposes)];
-                Kernel::new(context, &SOURCE, 0, &constants)
-            };
-            Result::Ok([kernel(0.0, 0.0)?, kernel(1.0, 0.0)?, kernel(1.0, 1.0)?])
+        let kernel = |head: f64, proposes: f64| {
+            let constants = [("HEAD", head), ("OF_STEP", proposes), ("PROPOSES", proposes)];
+            Kernel::new(context, &SOURCE, 0, &constants)
         };
         Ok(Self {
-            moves: kernels(0.0)?,
-            proposes: kernels(1.0)?,
+            moves: [kernel(0.0, 0.0)?, kernel(1.0, 0.0)?],
+            proposes: [kernel(0.0, 1.0)?, kernel(1.0, 1.0)?],
             nothing: Tensor::zeros(context, "no head", &[2])?,
         })
     }
@@ -117,17 +115,21 @@ impl Update {
             parts_of_sums: size(parts_of_sums),
             first_sum: size(first_sum),
         };
-        let ([alone, with_head, of_step], marks, to) = match direction {
+        assert_eq!(
+            direction.is_some(),
+            last_step.is_some(),
+            "proposals begin with the size of the last step"
+        );
+        let ([alone, with_head], marks, to) = match direction {
             Some(direction) => {
                 assert_eq!(direction.shape(), iterate.a.shape());
                 (&self.proposes, &iterate.marks, direction)
             }
             None => (&self.moves, nothing, &iterate.a),
         };
-        let (kernel, rows_max, head) = match (head, last_step) {
-            (Some((layer, rows_max)), None) => (with_head, rows_max, &layer.weight_and_bias),
-            (Some((layer, rows_max)), Some(_)) => (of_step, rows_max, &layer.weight_and_bias),
-            (None, _) => (alone, nothing, nothing),
+        let (kernel, rows_max, head) = match head {
+            Some((layer, rows_max)) => (with_head, rows_max, &layer.weight_and_bias),
+            None => (alone, nothing, nothing),
         };
         let tensors = [field, rows_max, head, &sums, marks, tensor, &fields, to];
         let groups = n.div_ceil(256).clamp(1, MAX_GROUPS);
