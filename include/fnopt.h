@@ -52,6 +52,11 @@ typedef struct {
   const double *wind;
   /// Accelerations in addition to gravity and air (m/s^2), x y z for each particle of each cloth.
   const double *accelerations;
+  /// Where the bodies are at the end of the frame, a position (m) and a quaternion (x y z w) for each: all of cloth 0, then of cloth 1,
+  /// and so on. They move there from where the frame before left them, and what is attached to them goes along.
+  const double *bodies;
+  /// Number of bodies.
+  size_t body_count;
 } FnoptControl;
 
 /// What a cloth was like in a frame.
@@ -112,7 +117,8 @@ FnoptStatus fnopt_simulation_new(const FnoptScene *const *scenes,
 void fnopt_simulation_free(FnoptSimulation *simulation);
 
 /// Computes the next frame as the scenes have it, events among it, but for what `control` prescribes, which may be NULL. After
-/// the last frame, handles and bodies stay where they are.
+/// the last frame, handles and bodies stay where they are. A step without bodies in its control leads them back to where the scenes
+/// have them.
 FnoptStatus fnopt_step(FnoptSimulation *simulation,
                        const FnoptControl *control);
 
@@ -138,6 +144,10 @@ FnoptStatus fnopt_velocities(const FnoptSimulation *simulation, float *buffer, s
 size_t fnopt_faces(const FnoptSimulation *simulation,
                    uint32_t *buffer,
                    size_t count);
+
+/// Writes where the bodies are at the end of the last frame, a position (m) and a quaternion (x y z w) each, all of cloth 0 first, and
+/// returns how many bodies there are. With NULL, it only does the latter; room for fewer numbers is filled as far as it goes.
+size_t fnopt_bodies(const FnoptSimulation *simulation, double *buffer, size_t count);
 
 /// Writes the numbers of the particles that are held now, within each cloth, all of cloth 0 first, and returns how many there
 /// are. With NULL, it only does the latter; room for fewer is filled as far as it goes.

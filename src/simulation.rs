@@ -1,9 +1,9 @@
 //! A simulation that owns its scenes and goes through them frame by frame, in SI units.
 
-use crate::cloth::{Cloth, State};
+use crate::cloth::{Cloth, Pose, State, Sweep};
 use crate::device::{Device, DeviceChoice, store_pipelines};
 use crate::io::Recording;
-use crate::scene::{Course, Scene, Script, Scripts, Setup};
+use crate::scene::{BodyPose, Course, Scene, Script, Scripts, Setup};
 use crate::sim::{Memory, Optimizer};
 use crate::{Error, Frame, Result, Simulator, cloth};
 use rayon::prelude::*;
@@ -36,6 +36,8 @@ pub struct Simulation {
     /// The last frame whose events have come, and what holds the handles of each cloth since then.
     entered: usize,
     anchors: Vec<Vec<f64>>,
+    /// Where all bodies are by then; `None` as long as no host has led one.
+    led: Option<Vec<Pose>>,
 }
 
 /// How a [`Simulation`] is computed.
@@ -58,12 +60,16 @@ impl Default for SimulationOptions {
 /// What a host prescribes for a frame, in SI units and each scene's axes; `None` for what the scene does.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Prescribed {
-    /// Targets of the handles \[m\]: all of cloth 0, then of cloth 1, and so on.
+    /// Targets of the handles \[m\]: all of cloth 0, then of cloth 1, and so on. With `bodies`, those of handles that follow a body do not
+    /// count: they go with it.
     pub handles: Option<Vec<[f64; 3]>>,
     /// Wind velocity of each cloth [m/s], gusts included. It moves cloths whose scene's `wind` has a density or a drag.
     pub wind: Option<Vec<[f64; 3]>>,
     /// Acceleration of each particle [m/s^2] in addition to gravity and air: all of cloth 0, then of cloth 1, and so on.
     pub accelerations: Option<Vec<[f64; 3]>>,
+    /// Where the bodies are at the end of the frame: all of cloth 0, then of cloth 1, and so on. They move there from where the frame
+    /// before left them, and handles that are attached to them go along. Rotations need not have length 1.
+    pub bodies: Option<Vec<BodyPose>>,
 }
 
 /// A simulation at one of its frames, from which it goes on to the same bits: its state, what its optimizer remembers, and which events
@@ -74,6 +80,7 @@ pub struct Snapshot {
     memory: Memory,
     entered: usize,
     anchors: Vec<Vec<f64>>,
+    led: Option<Vec<Pose>>,
 }
 
 impl Simulation {
@@ -107,7 +114,8 @@ impl Simulation {
         store_pipelines();
         let frame =
             Frame { index: 0, state: batch.start.cast(), stats: Vec::new(), wall: Default::default() };
-        let mut new = Self { simulator, device: opened.device, setups, frame, entered: 0, anchors };
+        let mut new =
+            Self { simulator, device: opened.device, setups, frame, entered: 0, anchors, led: None };
         new.simulator.set_state(&new.frame.state);
         Ok(new)
     }
@@ -152,6 +160,9 @@ impl Simulation {
     fn next_control(&mut self) -> Result<cloth::Control<f32>> {
         let next = self.frame.index + 1;
         let mut scripts = Scripts::resume(&self.setups, self.entered, &self.anchors)?;
+        if let Some(led) = &self.led {
+            scripts.led_to(led);
+        }
         if scripts.next_change().is_some_and(|change| change <= next)
             && let Some(cloths) = scripts.enter(next, &self.frame.state)
         {
@@ -173,11 +184,84 @@ impl Simulation {
         }
         let wind = self.setups.iter().zip(&control.wind);
         let wind = wind.map(|(setup, &v)| setup.up.from_z_up(setup.units.velocity_m_s(wide(v)))).collect();
-        Ok(Prescribed { handles: Some(handles), wind: Some(wind), accelerations: None })
+        let bodies = self.each_body().map(|(b, k)| self.setups[b].body_pose(&control.sweep(model, b, k).to));
+        let bodies = Some(bodies.collect::<Vec<_>>()).filter(|bodies| !bodies.is_empty());
+        Ok(Prescribed { handles: Some(handles), wind: Some(wind), accelerations: None, bodies })
+    }
+
+    /// Returns the bodies, each as the number of its cloth and its own there.
+    fn each_body(&self) -> impl Iterator<Item = (usize, usize)> {
+        let cloths = self.simulator.model().cloths.iter().enumerate();
+        cloths.flat_map(|(b, cloth)| (0..cloth.bodies.len()).map(move |k| (b, k)))
+    }
+
+    /// Returns where the bodies are at the end of the last frame: all of cloth 0, then of cloth 1, and so on.
+    pub fn bodies(&self) -> Vec<BodyPose> {
+        let pose = |(at, (b, k)): (usize, (usize, usize))| {
+            let pose =
+                self.led.as_ref().map_or_else(|| self.setups[b].pose(k, self.frame.index), |led| led[at]);
+            self.setups[b].body_pose(&pose)
+        };
+        self.each_body().enumerate().map(pose).collect()
+    }
+
+    /// Returns the body that each handle of each cloth follows now, if it follows one.
+    fn followed(&self) -> Result<Vec<Vec<Option<usize>>>> {
+        let scripts = Scripts::resume(&self.setups, self.entered, &self.anchors)?;
+        Ok(scripts.each().iter().map(Script::followed).collect())
+    }
+
+    /// Leads the bodies to these poses, or where the scenes have them, from where they are, with the handles that follow them, whose targets
+    /// are those of the scenes until then. Returns where the bodies are in the end; `None` as long as no host leads any.
+    fn lead_bodies(
+        &self,
+        given: Option<&[BodyPose]>,
+        followed: &[Vec<Option<usize>>],
+        control: &mut cloth::Control<f32>,
+    ) -> Result<Option<Vec<Pose>>> {
+        if given.is_none() && self.led.is_none() {
+            return Ok(None);
+        }
+        let model = self.simulator.model();
+        if let Some(given) = given.filter(|given| given.len() != model.bodies()) {
+            let expected = format!("{}, one for each body of all cloths together", model.bodies());
+            return Err(Error::invalid("control", "bodies", expected, given.len()));
+        }
+        let mut sweeps = Vec::with_capacity(model.bodies());
+        for (at, (b, k)) in self.each_body().enumerate() {
+            let of_scene = control.sweep(model, b, k);
+            let from = self.led.as_ref().map_or(of_scene.from, |led| led[at]);
+            let to = match given.map(|given| given[at]) {
+                None => of_scene.to,
+                Some(pose) => match pose.normalised() {
+                    Some(pose) => self.setups[b].pose_of(&pose),
+                    None => {
+                        let expected = "a quaternion that is not zero";
+                        let field = format!("bodies[{at}].rotation");
+                        return Err(Error::invalid(
+                            "control",
+                            field,
+                            expected,
+                            format!("{:?}", pose.rotation),
+                        ));
+                    }
+                },
+            };
+            for (handle, _) in followed[b].iter().enumerate().filter(|(_, body)| **body == Some(k)) {
+                let target = &mut control.handles[model.handle_range(b).start + handle];
+                let own = of_scene.to.inward(target.map(f64::from).into());
+                *target = to.outward(own).to_array().map(|c| c as f32);
+            }
+            sweeps.push(Sweep { from, to });
+        }
+        let led = sweeps.iter().map(|sweep| sweep.to).collect();
+        control.bodies = sweeps;
+        control.check(model)?;
+        Ok(Some(led))
     }
 
     /// Computes the next frame as the scenes have it, events among it. After the last frame of a scene, handles and bodies stay where they
-    /// are. Fails as [`Simulator::step`] does; a frame that is not finite can be looked at, and cloths be started again
+    /// are; bodies that a host has led go back to where the scene has them. Fails as [`Simulator::step`] does; a frame that is not finite can be looked at, and cloths be started again
     /// ([`Simulation::set_cloth_state`]).
     pub fn step(&mut self) -> Result<&Frame> {
         self.step_with(&Prescribed::default())
@@ -187,6 +271,8 @@ impl Simulation {
     /// number is not finite.
     pub fn step_with(&mut self, given: &Prescribed) -> Result<&Frame> {
         let mut control = self.next_control()?;
+        let followed = self.followed()?;
+        let led = self.lead_bodies(given.bodies.as_deref(), &followed, &mut control)?;
         let (setups, n) = (&self.setups, self.particles());
         let check = |field: &str, given: &[[f64; 3]], expected: usize, of: &str| {
             if given.len() != expected {
@@ -202,8 +288,9 @@ impl Simulation {
         };
         if let Some(handles) = &given.handles {
             check("handles", handles, control.handles.len(), "one for each handle of all cloths together")?;
+            let own = |b: usize| self.simulator.model().handle_range(b).zip(&followed[b]);
             for (b, setup) in setups.iter().enumerate() {
-                for k in self.simulator.model().handle_range(b) {
+                for (k, _) in own(b).filter(|(_, body)| body.is_none() || given.bodies.is_none()) {
                     control.handles[k] = setup.handle_at(handles[k]);
                 }
             }
@@ -225,15 +312,18 @@ impl Simulation {
         }
         match self.simulator.step(&control) {
             Ok(frame) => {
-                self.frame = frame;
+                (self.frame, self.led) = (frame, led);
                 Ok(&self.frame)
             }
-            Err(error @ Error::NonFinite { .. }) => {
-                self.frame.state = self.simulator.state()?;
-                self.frame.index = self.simulator.frame();
+            Err(error) => {
+                // A frame that ended badly has ended all the same.
+                if self.simulator.frame() != self.frame.index
+                    && let Ok(state) = self.simulator.state()
+                {
+                    (self.frame.index, self.frame.state, self.led) = (self.simulator.frame(), state, led);
+                }
                 Err(error)
             }
-            Err(error) => Err(error),
         }
     }
 
@@ -343,7 +433,7 @@ impl Simulation {
     pub fn reset(&mut self) -> Result<()> {
         let (scripts, batch) = Scripts::new(&self.setups)?;
         self.simulator.set_cloths(&batch.model.cloths)?;
-        (self.entered, self.anchors) = (0, anchors(&scripts));
+        (self.entered, self.anchors, self.led) = (0, anchors(&scripts), None);
         self.frame =
             Frame { index: 0, state: batch.start.cast(), stats: Vec::new(), wall: Default::default() };
         self.simulator.set_state(&self.frame.state);
@@ -357,6 +447,7 @@ impl Simulation {
             memory: self.simulator.memory()?,
             entered: self.entered,
             anchors: self.anchors.clone(),
+            led: self.led.clone(),
         })
     }
 
@@ -367,6 +458,10 @@ impl Simulation {
             let of = |state: &State<f32>| format!("{} numbers", state.x.len());
             let (expected, found) = (of(&self.frame.state), of(&snapshot.frame.state));
             return Err(Error::invalid("snapshot", "state", expected, found));
+        }
+        let bodies = self.simulator.model().bodies();
+        if let Some(led) = snapshot.led.as_ref().filter(|led| led.len() != bodies) {
+            return Err(Error::invalid("snapshot", "bodies", bodies.to_string(), led.len()));
         }
         let scripts = Scripts::resume(&self.setups, snapshot.entered, &snapshot.anchors)?;
         let cloths: Vec<Cloth> = scripts.each().iter().map(|script| script.cloth().clone()).collect();
@@ -379,6 +474,7 @@ impl Simulation {
         }
         self.frame = snapshot.frame.clone();
         (self.entered, self.anchors) = (snapshot.entered, snapshot.anchors.clone());
+        self.led = snapshot.led.clone();
         Ok(())
     }
 }

@@ -22,6 +22,8 @@ static class Fnopt
         public IntPtr Handles;
         public Size HandleCount;
         public IntPtr Wind, Accelerations;
+        public IntPtr Bodies;
+        public Size BodyCount;
     }
 
     const string Library = "fnopt";

@@ -57,12 +57,15 @@ class Control:
     """Wind velocity [m/s], [3] or [cloths, 3]."""
     accelerations: Optional[npt.ArrayLike]
     """Accelerations [m/s^2] in addition to gravity and air, [3], [particles, 3] or [cloths, particles, 3]."""
+    bodies: Optional[npt.ArrayLike]
+    """Where the bodies are at the end of the frame, [bodies, 7]: position [m] and quaternion (x, y, z, w)."""
 
     def __init__(
         self,
         handles: Optional[npt.ArrayLike] = None,
         wind: Optional[npt.ArrayLike] = None,
         accelerations: Optional[npt.ArrayLike] = None,
+        bodies: Optional[npt.ArrayLike] = None,
     ) -> None: ...
 
 class Snapshot:
@@ -102,6 +105,9 @@ class Simulation:
     @property
     def handles(self) -> List[npt.NDArray[np.uint64]]:
         """Particles that are held now, an array for each cloth."""
+    @property
+    def bodies(self) -> npt.NDArray[np.float64]:
+        """Where the bodies are at the end of the last frame, [bodies, 7]: position [m] and quaternion (x, y, z, w)."""
     @property
     def frame(self) -> int:
         """Number of the last frame; the start is 0."""
@@ -174,8 +180,18 @@ class Rollout:
     @property
     def sound(self) -> bool:
         """Whether it can be trusted: no edge stretched more than cloth, no frame far from its minimum."""
-    def save(self, path: Path, format: Optional[str] = None) -> Path:
-        """Writes the frames as npz, npy, obj, ply, pc2 or mdd, and returns the path."""
+    def save(
+        self,
+        path: Path,
+        format: Optional[str] = None,
+        *,
+        fps: Optional[float] = None,
+        start_frame: int = 0,
+        half: bool = False,
+        compress: bool = False,
+    ) -> Path:
+        """Writes the frames as npz, npy, obj, ply, pc2, mdd, usda or glb, and returns the path. `fps` is the rate that the
+        file names, `start_frame` the number of its first frame; `half` keeps 16 bits of each number, `compress` deflates."""
     def __len__(self) -> int: ...
 
 def rollout(

@@ -3,7 +3,7 @@
 use super::check::{FnoptStatus, give, missing, room, slice, status, text, value};
 use super::scene::FnoptScene;
 use crate::bindings::Settings;
-use crate::scene::Scene;
+use crate::scene::{BodyPose, Scene};
 use crate::{Error, Prescribed, Result, Simulation};
 use std::ffi::c_char;
 use std::path::PathBuf;
@@ -39,6 +39,11 @@ pub struct FnoptControl {
     pub wind: *const f64,
     /// Accelerations in addition to gravity and air (m/s^2), x y z for each particle of each cloth.
     pub accelerations: *const f64,
+    /// Where the bodies are at the end of the frame, a position (m) and a quaternion (x y z w) for each: all of cloth 0, then of cloth 1,
+    /// and so on. They move there from where the frame before left them, and what is attached to them goes along.
+    pub bodies: *const f64,
+    /// Number of bodies.
+    pub body_count: usize,
 }
 
 /// What a cloth was like in a frame.
@@ -98,7 +103,8 @@ pub extern "C" fn fnopt_simulation_free(simulation: Option<Box<FnoptSimulation>>
 }
 
 /// Computes the next frame as the scenes have it, events among it, but for what `control` prescribes, which may be NULL. After
-/// the last frame, handles and bodies stay where they are.
+/// the last frame, handles and bodies stay where they are. A step without bodies in its control leads them back to where the scenes
+/// have them.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn fnopt_step(
     simulation: Option<&mut FnoptSimulation>,
@@ -114,6 +120,8 @@ pub unsafe extern "C" fn fnopt_step(
             given.handles = points(control.handles, control.handle_count);
             given.wind = points(control.wind, cloths);
             given.accelerations = points(control.accelerations, cloths * inner.particles());
+            // SAFETY: the caller's.
+            given.bodies = unsafe { poses(control.bodies, control.body_count) };
         }
         inner.step_with(&given).map(|_| ())
     })
@@ -181,6 +189,24 @@ pub unsafe extern "C" fn fnopt_faces(
     let faces = || simulation.map_or(Vec::new(), |of| of.simulation.faces());
     // SAFETY: the caller's.
     value(0, || unsafe { list(faces().as_flattened(), buffer, count) } / 3)
+}
+
+/// Writes where the bodies are at the end of the last frame, a position (m) and a quaternion (x y z w) each, all of cloth 0 first, and
+/// returns how many bodies there are. With NULL, it only does the latter; room for fewer numbers is filled as far as it goes.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn fnopt_bodies(
+    simulation: Option<&FnoptSimulation>,
+    buffer: *mut f64,
+    count: usize,
+) -> usize {
+    value(0, || {
+        let bodies = simulation.map_or(Vec::new(), |of| of.simulation.bodies());
+        let numbers = bodies.iter().flat_map(|pose| pose.position_m.into_iter().chain(pose.rotation));
+        let numbers: Vec<f64> = numbers.collect();
+        // SAFETY: the caller's.
+        unsafe { list(&numbers, buffer, count) };
+        bodies.len()
+    })
 }
 
 /// Writes the numbers of the particles that are held now, within each cloth, all of cloth 0 first, and returns how many there
@@ -273,13 +299,21 @@ unsafe fn read(
 }
 
 /// Writes a list as far as there is room, and returns its length.
-unsafe fn list(list: &[u32], buffer: *mut u32, count: usize) -> usize {
+unsafe fn list<T: Copy>(list: &[T], buffer: *mut T, count: usize) -> usize {
     let count = count.min(list.len());
     // SAFETY: the caller's.
     if let Ok(room) = unsafe { room(buffer, count, count, "buffer") } {
         room.copy_from_slice(&list[..count]);
     }
     list.len()
+}
+
+/// Returns the poses of an argument, `None` for NULL.
+unsafe fn poses(argument: *const f64, count: usize) -> Option<Vec<BodyPose>> {
+    // SAFETY: the caller's.
+    let rows = unsafe { slice(argument.cast::<[f64; 7]>(), count) };
+    let pose = |&[x, y, z, i, j, k, w]: &[f64; 7]| BodyPose { position_m: [x, y, z], rotation: [i, j, k, w] };
+    rows.map(|rows| rows.iter().map(pose).collect())
 }
 
 /// Returns the points of an argument, `None` for NULL.

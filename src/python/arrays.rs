@@ -55,6 +55,22 @@ impl Points {
     }
 }
 
+/// Takes an array of numbers [rows, N].
+pub(super) fn take_rows<const N: usize>(array: &Bound<'_, PyAny>, name: &str) -> PyResult<Vec<[f64; N]>> {
+    let array: PyArrayLikeDyn<'_, f64, AllowTypeChange> = array.extract().map_err(|error| {
+        PyValueError::new_err(format!("{name}: expected an array of numbers [{name}, {N}]: {error}"))
+    })?;
+    let view = array.as_array();
+    let shape = view.shape();
+    if !matches!(shape, [_, columns] if *columns == N) && shape != [0] {
+        return Err(PyValueError::new_err(format!(
+            "{name}: expected an array [{name}, {N}], found {shape:?}"
+        )));
+    }
+    let flat: Vec<f64> = view.iter().copied().collect();
+    Ok(flat.as_chunks::<N>().0.to_vec())
+}
+
 /// Returns points as an array [points, 3], without copying them.
 pub(super) fn points_array<'py>(
     py: Python<'py>,

@@ -1,11 +1,11 @@
 //! The class `Simulation`.
 
-use super::arrays::{Points, points_array, to_python};
+use super::arrays::{Points, points_array, take_rows, to_python};
 use super::errors::raised;
 use super::scene::scene_of;
 use crate::bindings::Settings;
 use crate::eval::FrameReport;
-use crate::scene::Scene;
+use crate::scene::{BodyPose, Scene};
 use crate::{Prescribed, Simulation, Snapshot};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3};
 use pyo3::exceptions::PyValueError;
@@ -22,14 +22,22 @@ pub(super) struct PyControl {
     wind: Option<Py<PyAny>>,
     /// Accelerations [m/s^2] in addition to gravity and air, [3], [particles, 3] or [cloths, particles, 3].
     accelerations: Option<Py<PyAny>>,
+    /// Where the bodies are at the end of the frame, [bodies, 7]: position [m] and quaternion (x, y, z, w), all of cloth 0, then of
+    /// cloth 1, and so on. They move there from where the frame before left them, and what is attached to them goes along.
+    bodies: Option<Py<PyAny>>,
 }
 
 #[pymethods]
 impl PyControl {
     #[new]
-    #[pyo3(signature = (handles = None, wind = None, accelerations = None))]
-    fn new(handles: Option<Py<PyAny>>, wind: Option<Py<PyAny>>, accelerations: Option<Py<PyAny>>) -> Self {
-        Self { handles, wind, accelerations }
+    #[pyo3(signature = (handles = None, wind = None, accelerations = None, bodies = None))]
+    fn new(
+        handles: Option<Py<PyAny>>,
+        wind: Option<Py<PyAny>>,
+        accelerations: Option<Py<PyAny>>,
+        bodies: Option<Py<PyAny>>,
+    ) -> Self {
+        Self { handles, wind, accelerations, bodies }
     }
 }
 
@@ -96,7 +104,21 @@ impl PySimulation {
         let array = |points: Option<Vec<[f64; 3]>>| {
             points.map(|points| Ok::<_, PyErr>(points_array(py, points)?.into_any().unbind())).transpose()
         };
-        Ok(PyControl { handles: array(control.handles)?, wind: array(control.wind)?, accelerations: None })
+        let bodies =
+            control.bodies.map(|bodies| Ok::<_, PyErr>(rows(py, numbers(&bodies))?.into_any().unbind()));
+        Ok(PyControl {
+            handles: array(control.handles)?,
+            wind: array(control.wind)?,
+            accelerations: None,
+            bodies: bodies.transpose()?,
+        })
+    }
+
+    /// Where the bodies are at the end of the last frame, [bodies, 7]: position [m] and quaternion (x, y, z, w), all of cloth 0, then of
+    /// cloth 1, and so on.
+    #[getter]
+    fn bodies<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        rows(py, numbers(&self.simulation.bodies()))
     }
 
     /// Positions [m]. Each access makes a new array, which stays as it is.
@@ -257,6 +279,7 @@ impl PySimulation {
             handles: control.handles.as_ref().map(handles).transpose()?,
             wind: take(&control.wind, "wind", &[cloths])?,
             accelerations: take(&control.accelerations, "accelerations", &[cloths, n])?,
+            bodies: control.bodies.as_ref().map(|array| poses(array.bind(py))).transpose()?,
         })
     }
 
@@ -272,6 +295,22 @@ impl PySimulation {
         let array = ndarray::Array3::from_shape_vec(shape, values);
         Ok(array.map_err(|error| PyValueError::new_err(error.to_string()))?.into_pyarray(py))
     }
+}
+
+/// Returns poses as positions and quaternions.
+fn numbers(poses: &[BodyPose]) -> Vec<[f64; 7]> {
+    let row = |pose: &BodyPose| {
+        let ([x, y, z], [i, j, k, w]) = (pose.position_m, pose.rotation);
+        [x, y, z, i, j, k, w]
+    };
+    poses.iter().map(row).collect()
+}
+
+/// Takes poses from an array [bodies, 7].
+fn poses(array: &Bound<'_, PyAny>) -> PyResult<Vec<BodyPose>> {
+    let rows = take_rows::<7>(array, "bodies")?;
+    let pose = |&[x, y, z, i, j, k, w]: &[f64; 7]| BodyPose { position_m: [x, y, z], rotation: [i, j, k, w] };
+    Ok(rows.iter().map(pose).collect())
 }
 
 /// Returns rows of numbers as an array.

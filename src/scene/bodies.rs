@@ -102,6 +102,15 @@ impl Default for BodyPose {
     }
 }
 
+impl BodyPose {
+    /// Returns the pose with a quaternion of length 1, or none if that is zero or not finite.
+    pub(crate) fn normalised(self) -> Option<Self> {
+        let rotation = DQuat::from_array(self.rotation);
+        (rotation.is_finite() && rotation.length() > 0.0)
+            .then(|| Self { rotation: rotation.normalize().to_array(), ..self })
+    }
+}
+
 /// How a body moves.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
@@ -268,7 +277,7 @@ impl BodySettings {
                 .map(|frame| in_grid_units(&at(keys, frame as f64 * units.frame_time_s), units, up))
                 .collect(),
             BodyMotion::File(path) => {
-                read_poses(path)?.iter().map(|pose| in_grid_units(pose, units, up)).collect()
+                read_poses(path)?.iter().take(frames).map(|pose| in_grid_units(pose, units, up)).collect()
             }
         };
         let body = Body {
@@ -425,17 +434,12 @@ fn read_poses(path: &Path) -> Result<Vec<BodyPose>> {
         if row.len() == 3 {
             return Ok(BodyPose { position_m, ..BodyPose::default() });
         }
-        let rotation = DQuat::from_xyzw(row[3], row[4], row[5], row[6]);
-        if !(rotation.is_finite() && rotation.length() > 0.0) {
+        let given = BodyPose { position_m, rotation: [row[3], row[4], row[5], row[6]] };
+        let found = format!("{:?}", given.rotation);
+        given.normalised().ok_or_else(|| {
             let field = format!("rotation of frame {frame}");
-            return Err(Error::invalid(
-                &origin,
-                field,
-                "a quaternion that is not zero",
-                format!("{rotation}"),
-            ));
-        }
-        Ok(BodyPose { position_m, rotation: rotation.normalize().to_array() })
+            Error::invalid(&origin, field, "a quaternion that is not zero", found)
+        })
     };
     rows.rows().into_iter().enumerate().map(pose).collect()
 }
@@ -461,8 +465,16 @@ fn degrees(pose: &BodyPose) -> [f64; 4] {
     [angle.to_degrees(), axis.x, axis.y, axis.z]
 }
 
-fn in_grid_units(pose: &BodyPose, units: &Units, up: UpAxis) -> Pose {
+/// Converts a pose to grid units, z up.
+pub(super) fn in_grid_units(pose: &BodyPose, units: &Units, up: UpAxis) -> Pose {
     let [x, y, z, w] = pose.rotation;
     let [x, y, z] = up.to_z_up([x, y, z]);
     Pose { position: units.position(up.to_z_up(pose.position_m)), rotation: [x, y, z, w] }
+}
+
+/// Converts a pose from grid units, z up: the inverse of [`in_grid_units`].
+pub(super) fn in_metres(pose: &Pose, units: &Units, up: UpAxis) -> BodyPose {
+    let [x, y, z, w] = pose.rotation;
+    let [x, y, z] = up.from_z_up([x, y, z]);
+    BodyPose { position_m: up.from_z_up(units.position_m(pose.position)), rotation: [x, y, z, w] }
 }

@@ -2,7 +2,7 @@
 
 use super::setup::sweeps;
 use super::{Airflow, Batch, Setup};
-use crate::cloth::{Cloth, Control, State, Sweep, cast};
+use crate::cloth::{Cloth, Control, Pose, State, Sweep, cast};
 use crate::{Error, Result};
 use glam::DVec3;
 use num_traits::Float;
@@ -42,12 +42,15 @@ pub struct Script<'a> {
     changes: usize,
     /// For each handle where it was grabbed: a point of space, or of a body's own axes; unused for those of a motion.
     anchors: Vec<[f64; 3]>,
+    /// Where the bodies are, if a host has led them elsewhere than the scene has them.
+    led: Vec<Pose>,
 }
 
 impl<'a> Script<'a> {
     /// Returns the course of a scene from its start.
     pub fn new(setup: &'a Setup) -> Self {
-        Self { setup, changes: 0, anchors: vec![[0.0; 3]; setup.model.cloths[0].handles.len()] }
+        let anchors = vec![[0.0; 3]; setup.model.cloths[0].handles.len()];
+        Self { setup, changes: 0, anchors, led: Vec::new() }
     }
 
     /// Returns the course of a scene after its frame `frame`, with the anchors that it had there
@@ -84,6 +87,17 @@ impl<'a> Script<'a> {
         self.now().map_or(&self.setup.model.cloths[0], |change| &change.cloth)
     }
 
+    /// Returns the body that each handle of the cloth follows now, if it follows one.
+    pub fn followed(&self) -> Vec<Option<usize>> {
+        let body = |lead: &Lead| match *lead {
+            Lead::Motion(handle) => self.setup.attached[handle],
+            Lead::Place => None,
+            Lead::Body(body) => Some(body),
+        };
+        self.now()
+            .map_or_else(|| self.setup.attached.clone(), |change| change.leads.iter().map(body).collect())
+    }
+
     fn now(&self) -> Option<&'a Change> {
         self.changes.checked_sub(1).map(|k| &self.setup.changes[k])
     }
@@ -102,7 +116,9 @@ impl<'a> Script<'a> {
                 let place = [*p, n + p, 2 * n + p].map(|k| cast(start.x[k]));
                 match *lead {
                     Lead::Body(body) => {
-                        self.setup.pose(body, frame - 1).inward(DVec3::from(place)).to_array()
+                        let pose = self.led.get(body).copied();
+                        let pose = pose.unwrap_or_else(|| self.setup.pose(body, frame - 1));
+                        pose.inward(DVec3::from(place)).to_array()
                     }
                     Lead::Motion(_) | Lead::Place => place,
                 }
@@ -159,6 +175,14 @@ impl<'a> Scripts<'a> {
         let resume = |(setup, anchors): (&'a Setup, &Vec<f64>)| Script::resume(setup, frame, anchors);
         let each = setups.iter().zip(anchors).map(resume).collect::<Result<_>>()?;
         Ok(Self { each, frames: setups.iter().map(Setup::frames).max().unwrap_or(0) })
+    }
+
+    /// Tells the courses where a host has led the bodies: all bodies of the first scene, then of the next, and so on.
+    pub fn led_to(&mut self, mut poses: &[Pose]) {
+        for script in &mut self.each {
+            let (own, rest) = poses.split_at(script.cloth().bodies.len());
+            (script.led, poses) = (own.to_vec(), rest);
+        }
     }
 
     /// Returns the course of each scene.

@@ -1,10 +1,11 @@
 //! The form of a scene that a simulation needs: everything in grid units, z up.
 
+use super::bodies::{in_grid_units, in_metres};
 use super::motion::Recording;
 use super::points::{norm, zip};
 use super::script::Change;
 use super::surface::Sheet;
-use super::{Airflow, Handles, MapFile, Motion, Scene, Start, Units, UpAxis};
+use super::{Airflow, BodyPose, Handles, MapFile, Motion, Scene, Start, Units, UpAxis};
 use crate::cloth::{
     Cloth, Control, Embedding, Grid, Intersection, Model, Pose, State, Sweep, VertexView, cast,
     intersections, untangle,
@@ -52,6 +53,8 @@ pub struct Setup {
     pub start: State<f64>,
     /// Handle positions \[edges\] for each frame, including the start, shape `[frames][handles]`.
     pub handles: Vec<Vec<[f64; 3]>>,
+    /// The body that each handle follows, if it follows one, shape `[handles]`; `handles` has where the scene moves it with that.
+    pub attached: Vec<Option<usize>>,
     /// Poses of each body in each frame, including the start: a single one if it does not move; past the last one it
     /// stays there. Shape `[bodies][frames]`.
     pub poses: Vec<Vec<Pose>>,
@@ -173,7 +176,7 @@ impl Setup {
     }
 
     /// Returns where body `k` is at the end of a frame.
-    pub(super) fn pose(&self, k: usize, frame: usize) -> Pose {
+    pub(crate) fn pose(&self, k: usize, frame: usize) -> Pose {
         pose(&self.poses[k], frame)
     }
 
@@ -187,6 +190,16 @@ impl Setup {
     /// Converts a position \[m\] in the scene's axes to a handle position of a [`Control`]: in edges, z up.
     pub fn handle_at<T: Float>(&self, m: [f64; 3]) -> [T; 3] {
         self.units.position(self.up.to_z_up(m)).map(cast)
+    }
+
+    /// Converts the pose of a body in the scene's axes to one of a [`Sweep`]: in edges, z up.
+    pub fn pose_of(&self, pose: &BodyPose) -> Pose {
+        in_grid_units(pose, &self.units, self.up)
+    }
+
+    /// Converts the pose of a body in edges, z up, to one in the scene's axes: the inverse of [`Setup::pose_of`].
+    pub fn body_pose(&self, pose: &Pose) -> BodyPose {
+        in_metres(pose, &self.units, self.up)
     }
 
     /// Converts a velocity [m/s] in the scene's axes to the wind of a [`Control`]: in edges per frame, z up.
@@ -506,6 +519,7 @@ impl Scene {
             start: State { x: field(&points), v: field(&velocities) },
             model: Model { grid, cloths: vec![cloth] },
             handles,
+            attached,
             poses,
             changes,
             wind,

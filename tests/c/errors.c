@@ -84,6 +84,17 @@ int main(void) {
     EXPECT(fnopt_positions(simulation, moved, 432) == FNOPT_STATUS_DONE && memcmp(buffer, moved, sizeof buffer) == 0);
     fnopt_simulation_free(simulation);
 
+    /* A ball that the host leads. */
+    simulation = simulation_of("{\"grid\": [8, 9], \"bodies\": [{\"shape\": \"sphere\", \"radius_m\": 0.1, \"position_m\": [3, 0, 0]}]}", 2, "spectral");
+    double poses[14] = {3, 0.5, 0, 0, 0, 0, 2, 4, 0, 0, 0, 0, 0, 1}, found[14];
+    const FnoptControl led = {.bodies = poses, .body_count = 2}, short_of_one = {.bodies = poses, .body_count = 1};
+    EXPECT(fnopt_step(simulation, &short_of_one) == FNOPT_STATUS_BAD_INPUT && said("bodies: expected 2"));
+    EXPECT(fnopt_step(simulation, &led) == FNOPT_STATUS_DONE);
+    EXPECT(fnopt_bodies(simulation, NULL, 0) == 2 && fnopt_bodies(simulation, found, 14) == 2);
+    poses[6] = 1;
+    for (int k = 0; k < 14; ++k) EXPECT(fabs(found[k] - poses[k]) < 1e-12);
+    fnopt_simulation_free(simulation);
+
     /* One that explodes. */
     simulation = simulation_of("{\"grid\": [8, 9]}", 1, "gd");
     for (int k = 0; k < 216; ++k) positions[k] *= 1e18;

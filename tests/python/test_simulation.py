@@ -74,6 +74,26 @@ def test_events_come_in_batches_too():
     assert np.array_equal(run(sim, 9)[0], alone[0])
 
 
+def test_a_host_leads_bodies():
+    ball = {"shape": "sphere", "radius_m": 0.1, "position_m": [0.4, 0, 0]}
+    sim = simulation(SMALL.replace(motion="none", bodies=[ball]), cloths=2)
+    before = sim.bodies
+    assert before.shape == (2, 7) and np.allclose(before[0], [0.4, 0, 0, 0, 0, 0, 1])
+    for _ in range(30):
+        control = sim.control()
+        control.bodies = sim.bodies
+        control.bodies[1, 0] -= 0.02
+        sim.step(control)
+    assert np.allclose(sim.bodies[:, 0], [0.4, -0.2]) and np.array_equal(before[0], sim.bodies[0])
+    # The ball has pushed the sheet of the second cloth aside, and nothing of it is inside.
+    moved = np.abs(sim.positions[1] - sim.positions[0]).max()
+    distance = np.linalg.norm(sim.positions[1] - sim.bodies[1, :3], axis=1).min()
+    assert moved > 0.05 and distance > 0.099, (moved, distance)
+    for bodies, text in [(np.zeros((2, 3)), "bodies: expected an array"), (before[:1], "bodies: expected 2")]:
+        with pytest.raises(ValueError, match=text):
+            sim.step(fnopt.Control(bodies=bodies))
+
+
 def test_the_control_of_the_scene_is_what_a_step_without_one_takes():
     one, other = simulation(), simulation()
     for _ in range(40):

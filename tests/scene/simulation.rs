@@ -1,6 +1,6 @@
 //! Simulations that own their scenes, in SI units.
 
-use fnopt::scene::Script;
+use fnopt::scene::{BodyPose, Script};
 use fnopt::{
     Device, DeviceChoice, DeviceKind, Optimizer, Prescribed, Scene, Simulation, SimulationOptions, Simulator,
 };
@@ -102,6 +102,125 @@ fn what_is_prescribed_is_checked_and_done() {
     let none = SimulationOptions { copies: 0, ..on_the_cpu() };
     let error = Simulation::of(&[&scene()], &Optimizer::spectral(), &none).err().unwrap().to_string();
     assert!(error.contains("at least one"), "{error}");
+}
+
+/// Returns a vector that is z up in the axes of a scene with this axis up.
+fn in_axes(up: &str, [x, y, z]: [f64; 3]) -> [f64; 3] {
+    if up == "z" { [x, y, z] } else { [x, z, -y] }
+}
+
+/// A sheet that hangs from a rod by one corner, and from a place by the other, with a ball beside it.
+fn with_bodies(up: &str, motions: [&str; 2]) -> Scene {
+    let [rod, ball] = motions;
+    let (of_rod, of_ball) = (in_axes(up, [0.0, -0.1, 0.0]), in_axes(up, [0.3, -0.4, -0.5]));
+    let text = format!(
+        r#"{{"grid": [10, 10], "frames": 20, "up": "{up}", "handles": [[0, 0], [0, 9]], "start": "hanging", "motion": "none",
+            "bodies": [{{"shape": "capsule", "radius_m": 0.02, "length_m": 1, "position_m": {of_rod:?} {rod}}},
+                       {{"shape": "sphere", "radius_m": 0.1, "position_m": {of_ball:?} {ball}}}],
+            "attached": [{{"handles": [0], "body": 0}}],
+            "events": [{{"frame": 12, "grab": [[9, 5]], "body": 1}}]}}"#
+    );
+    Scene::parse(&text, "a scene", Path::new("")).unwrap()
+}
+
+/// A host leads bodies where a scene would, and what is attached to them, grabbed by them or in their way cannot tell.
+#[test]
+fn bodies_that_a_host_leads_act_as_those_of_a_scene() {
+    let frame_s = Scene::default().frame_time_s;
+    let turn = 40.0;
+    for up in ["z", "y"] {
+        let place = |k: usize, frame: usize| {
+            let t = frame as f64;
+            in_axes(up, [[0.0, -0.1 - 0.004 * t, 0.002 * t], [0.3, -0.4 + 0.03 * t, -0.5]][k])
+        };
+        let axis = |k: usize| in_axes(up, [[0.0, 0.6, 0.8], [1.0, 0.0, 0.0]][k]);
+        let keys = |k: usize| {
+            let key = |frame: usize| {
+                let ([x, y, z], degrees) = (axis(k), turn * frame as f64 / 19.0);
+                format!(
+                    r#"{{"time_s": {}, "position_m": {:?}, "rotation": [{degrees}, {x}, {y}, {z}]}}"#,
+                    frame as f64 * frame_s,
+                    place(k, frame)
+                )
+            };
+            format!(r#", "motion": [{}, {}]"#, key(0), key(19))
+        };
+        let own = with_bodies(up, [&keys(0), &keys(1)]);
+        let led = with_bodies(up, ["", ""]);
+        let [mut own, mut led] = [&own, &led].map(|scene| simulation(&[scene], 2));
+        let poses = |frame: usize| {
+            let pose = |k: usize| {
+                let (sine, cosine) = (0.5 * (turn * frame as f64 / 19.0).to_radians()).sin_cos();
+                // Of length 2.
+                let [x, y, z] = axis(k).map(|c| 2.0 * sine * c);
+                BodyPose { position_m: place(k, frame), rotation: [x, y, z, 2.0 * cosine] }
+            };
+            [0, 1, 0, 1].map(pose).to_vec()
+        };
+        let still = led.positions();
+        for frame in 1..16 {
+            own.step().unwrap();
+            // As a host does that changes what the scene does, and as one that says no more than it must.
+            let mut given = if frame % 2 == 0 { led.prescribed().unwrap() } else { Prescribed::default() };
+            given.bodies = Some(poses(frame));
+            led.step_with(&given).unwrap();
+            let at = [&own, &led].map(|simulation| simulation.positions());
+            let far = at[0].iter().flatten().zip(at[1].iter().flatten());
+            let far = far.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            assert!(far < 1e-5, "{up} up, frame {frame}: {far} m");
+            for (own, led) in own.bodies().iter().zip(led.bodies()) {
+                let numbers =
+                    |pose: &BodyPose| pose.position_m.into_iter().chain(pose.rotation).collect::<Vec<_>>();
+                let far =
+                    numbers(own).iter().zip(numbers(&led)).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+                assert!(far < 1e-12, "{up} up, frame {frame}: {own:?}, {led:?}");
+            }
+        }
+        assert_eq!(led.cloths()[0].handles.len(), 3, "the ball has grabbed a particle");
+        let moved = led.positions()[0].iter().zip(still[0]).map(|(a, b)| (a - b).powi(2)).sum::<f32>().sqrt();
+        assert!(moved > 0.05, "what is attached to the rod moved by {moved} m");
+
+        // Both go on to the same bits from a snapshot, and without a host the bodies go back to where the scene has them.
+        let lead = |led: &mut Simulation| {
+            led.step_with(&Prescribed { bodies: Some(poses(16)), ..Default::default() }).unwrap();
+            led.positions()
+        };
+        let snapshot = led.snapshot().unwrap();
+        let expected = lead(&mut led);
+        led.restore(&snapshot).unwrap();
+        assert_eq!(lead(&mut led), expected);
+        led.step().unwrap();
+        let ball = led.bodies()[1];
+        let far = ball.position_m.iter().zip(place(1, 0)).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(far < 1e-12 && ball.rotation == [0.0, 0.0, 0.0, 1.0], "{ball:?}");
+        led.reset().unwrap();
+        assert_eq!(led.positions(), still);
+        let error = simulation(&[&scene()], 2).restore(&snapshot).unwrap_err().to_string();
+        assert!(error.contains("snapshot"), "{error}");
+    }
+}
+
+#[test]
+fn bodies_that_cannot_be_led_are_named() {
+    let still = with_bodies("z", ["", ""]);
+    let [mut other, mut fresh] = [(); 2].map(|()| simulation(&[&still], 1));
+    let before = other.bodies();
+    let mut refused = |bodies: Vec<BodyPose>| {
+        let given = Prescribed { bodies: Some(bodies), ..Default::default() };
+        other.step_with(&given).map(|_| ()).unwrap_err().to_string()
+    };
+    let one = BodyPose::default();
+    let error = refused(vec![one]);
+    assert!(error.contains("control: bodies: expected 2, one for each body"), "{error}");
+    let error = refused(vec![one, BodyPose { rotation: [0.0; 4], ..one }]);
+    assert!(error.contains("bodies[1].rotation: expected a quaternion that is not zero"), "{error}");
+    let error = refused(vec![BodyPose { position_m: [f64::NAN, 0.0, 0.0], ..one }, one]);
+    assert!(error.contains("bodies[0]") && error.contains("NaN"), "{error}");
+    assert_eq!((other.frame().index, other.bodies()), (0, before), "nothing was computed");
+    for simulation in [&mut other, &mut fresh] {
+        simulation.step().unwrap();
+    }
+    assert_eq!(other.positions(), fresh.positions());
 }
 
 #[test]
