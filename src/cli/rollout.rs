@@ -264,18 +264,11 @@ impl Args {
         if let Some(fps) = self.fps.filter(|fps| !(fps.is_finite() && *fps > 0.0)) {
             return Err(Error::invalid("--fps", "value", "a number above 0", fps));
         }
-        use Format::{Npy, Npz, Obj, Pc2, Ply, Usda};
-        for (name, is_given, formats) in [
-            ("--half", self.half, &[Npz, Npy][..]),
-            ("--compress", self.compress, &[Npz]),
-            ("--start-frame", self.start_frame.is_some(), &[Pc2, Usda, Obj, Ply]),
-        ] {
-            if is_given && !self.format.iter().any(|format| formats.contains(format)) {
-                let join =
-                    |all: &[Format], by: &str| all.iter().map(|f| f.name()).collect::<Vec<_>>().join(by);
-                let expected = format!("{}, which it is about", join(formats, " or "));
-                return Err(Error::invalid(name, "--format", expected, join(&self.format, ",")));
-            }
+        if let Some((name, heeding)) = self.options(setup).unheeded(&self.format) {
+            let join = |all: &[Format], by: &str| all.iter().map(|f| f.name()).collect::<Vec<_>>().join(by);
+            let expected = format!("{}, which it is about", join(heeding, " or "));
+            let name = format!("--{}", name.replace('_', "-"));
+            return Err(Error::invalid(name, "--format", expected, join(&self.format, ",")));
         }
         let topology = setup.topology();
         let frames = (setup.frames() - 1) / self.every as usize + 1;

@@ -51,6 +51,20 @@ pub struct WriteOptions {
     pub compress: bool,
 }
 
+impl WriteOptions {
+    /// Returns the first option that is set, but that none of `formats` heeds, and the formats that do.
+    pub fn unheeded(&self, formats: &[Format]) -> Option<(&'static str, &'static [Format])> {
+        use Format::{Npy, Npz, Obj, Pc2, Ply, Usda};
+        let options: [(_, _, &[Format]); 3] = [
+            ("half", self.half, &[Npz, Npy]),
+            ("compress", self.compress, &[Npz]),
+            ("start_frame", self.start_frame > 0, &[Pc2, Usda, Obj, Ply]),
+        ];
+        let unheeded = |of: &&(_, bool, &[Format])| of.1 && !of.2.iter().any(|f| formats.contains(f));
+        options.iter().find(unheeded).map(|&(name, _, heeding)| (name, heeding))
+    }
+}
+
 /// Writes frames into the folder `dir` and returns the path: the file `NAME.EXT`, or for OBJ and PLY the folder
 /// `NAME_EXT` with a file `00000.EXT` per frame. Each file appears only once it is complete. Files that a longer run left
 /// in such a folder are removed. The memory this takes does not depend on the number of frames. Fails if the format

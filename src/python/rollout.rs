@@ -8,7 +8,7 @@ use crate::bindings::{Report, Settings, Status, change_scene};
 use crate::device::store_pipelines;
 use crate::eval::{FrameReport, Soundness};
 use crate::io::{Format, Frames, Trajectory, WriteOptions, create_folder, folder_of, write, write_mesh};
-use crate::scene::{EmbeddedMesh, Script};
+use crate::scene::{EmbeddedMesh, Script, UpAxis};
 use crate::{Device, Error, Simulator};
 use numpy::{PyArray2, PyArray3};
 use pyo3::prelude::*;
@@ -27,6 +27,7 @@ pub(super) struct PyRollout {
     trajectory: Trajectory,
     /// The mesh that the cloth carries along, which files for other programs hold.
     embedding: Option<Arc<EmbeddedMesh>>,
+    up: UpAxis,
     report: serde_json::Value,
 }
 
@@ -87,11 +88,25 @@ impl PyRollout {
     }
 
     /// Writes the frames in a format of the library, that of the ending unless `format` names one, and returns the path:
-    /// npz, npy, pc2 and mdd make a file, obj and ply a folder of files NAME_obj or NAME_ply. Beside a pc2 or mdd goes the
-    /// mesh that it moves, an OBJ.
-    #[pyo3(signature = (path, format = None))]
-    fn save(&self, py: Python<'_>, path: PathBuf, format: Option<&str>) -> PyResult<PathBuf> {
-        py.detach(|| self.write(&path, format)).map_err(raised)
+    /// npz, npy, pc2, mdd, usda and glb make a file, obj and ply a folder of files NAME_obj or NAME_ply. Beside a pc2 or mdd goes
+    /// the mesh that it moves, an OBJ.
+    ///
+    /// fps is the rate that the file names (more play faster), start_frame the number of its first frame (pc2, usda, obj, ply);
+    /// half keeps 16 bits of each number (npz, npy), compress deflates (npz).
+    #[pyo3(signature = (path, format = None, *, fps = None, start_frame = 0, half = false, compress = false))]
+    #[allow(clippy::too_many_arguments)]
+    fn save(
+        &self,
+        py: Python<'_>,
+        path: PathBuf,
+        format: Option<&str>,
+        fps: Option<f64>,
+        start_frame: u32,
+        half: bool,
+        compress: bool,
+    ) -> PyResult<PathBuf> {
+        let options = WriteOptions { fps, start_frame, z_up: self.up == UpAxis::Z, half, compress };
+        py.detach(|| self.write(&path, format, &options)).map_err(raised)
     }
 
     fn __len__(&self) -> usize {
@@ -105,7 +120,7 @@ impl PyRollout {
 }
 
 impl PyRollout {
-    fn write(&self, path: &Path, format: Option<&str>) -> crate::Result<PathBuf> {
+    fn write(&self, path: &Path, format: Option<&str>, options: &WriteOptions) -> crate::Result<PathBuf> {
         let ending = path.extension().map(|ending| ending.to_string_lossy().into_owned());
         let (format, name) = match (format, &ending) {
             (None, None) => {
@@ -119,6 +134,15 @@ impl PyRollout {
             }
             (None, Some(ending)) => (ending.parse()?, path.file_stem()),
         };
+        if let Some((option, heeding)) = options.unheeded(&[format]) {
+            let heeding = heeding.iter().map(|format| format.name()).collect::<Vec<_>>().join(" or ");
+            return Err(Error::invalid(
+                "Rollout.save",
+                option,
+                format!("{heeding}, which it is about"),
+                format,
+            ));
+        }
         let name = name.unwrap_or_default().to_string_lossy();
         if name.is_empty() {
             return Err(Error::invalid("Rollout.save", "path", "the name of a file", path.display()));
@@ -133,7 +157,7 @@ impl PyRollout {
         if format.is_vertex_cache() {
             write_mesh(frames, folder.join(format!("{name}.obj")))?;
         }
-        write(frames, folder, &name, format, &WriteOptions::default())
+        write(frames, folder, &name, format, options)
     }
 }
 
@@ -246,7 +270,7 @@ pub(super) fn rollout(
         per_frame: &per_frame,
     };
     let report = report.to_json(status);
-    let rollout = PyRollout { trajectory, embedding: setup.embedding.clone(), report };
+    let rollout = PyRollout { trajectory, embedding: setup.embedding.clone(), up: setup.up, report };
     let Some(error) = outcome.err().map(raised).or(stopped) else { return Ok(rollout) };
     error.value(py).setattr("rollout", rollout)?;
     Err(error)

@@ -68,7 +68,7 @@ def test_arrays_are_views_that_outlive_the_rollout():
     assert np.array_equal(positions, rollout().positions)
 
 
-@pytest.mark.parametrize("ending", ["npz", "npy", "obj", "ply", "pc2", "mdd"])
+@pytest.mark.parametrize("ending", ["npz", "npy", "obj", "ply", "pc2", "mdd", "usda", "glb"])
 def test_every_format_is_written(tmp_path, ending):
     found = rollout(frames=3)
     path = found.save(tmp_path / "new" / f"a.{ending}")
@@ -81,6 +81,22 @@ def test_every_format_is_written(tmp_path, ending):
     if ending == "npz":
         with np.load(path) as read:
             assert np.array_equal(read["vertices_seq"], found.positions)
+
+
+def test_files_know_which_axis_is_up_and_take_options(tmp_path):
+    up = rollout(SMALL.replace(up="z"), frames=3)
+    assert 'upAxis = "Z"' in up.save(tmp_path / "up.usda").read_text()
+    found = rollout(frames=3)
+    text = found.save(tmp_path / "a.usda", fps=25, start_frame=101).read_text()
+    assert 'upAxis = "Y"' in text and "startTimeCode = 101" in text and "timeCodesPerSecond = 25" in text
+    small = found.save(tmp_path / "a.npz", half=True, compress=True)
+    with np.load(small) as read:
+        assert read["vertices_seq"].dtype == np.float16
+    assert small.stat().st_size < found.save(tmp_path / "b.npz").stat().st_size / 2
+    with pytest.raises(ValueError, match="start_frame: expected pc2 or usda or obj or ply, which it is about"):
+        found.save(tmp_path / "c.npz", start_frame=1)
+    with pytest.raises(ValueError, match="fps: expected a number above 0"):
+        found.save(tmp_path / "a.usda", fps=0)
 
 
 def test_wrong_names_of_files_are_refused(tmp_path):
