@@ -247,6 +247,7 @@ mod motion;
 mod named;
 mod obj;
 mod picture;
+mod plausible;
 mod points;
 mod rest_shape;
 mod script;

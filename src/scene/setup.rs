@@ -2,6 +2,7 @@
 
 use super::bodies::{in_grid_units, in_metres};
 use super::motion::Recording;
+use super::plausible::doubts;
 use super::points::{norm, zip};
 use super::script::Change;
 use super::surface::Sheet;
@@ -460,6 +461,9 @@ impl Scene {
         };
         let wind = Airflow::new(&self.wind, &units, self.up);
         self.check_units(&units, &cloth, wind)?;
+        for doubt in doubts(grid, &cloth, &units) {
+            warn_once(format!("{}: material: {doubt}", self.origin));
+        }
         let [mut points, velocities] = self.start.on(&cloth, &units, (grid, self.up), &self.origin)?;
         let particles = cloth.handles.clone();
         let at_start: Vec<[f64; 3]> = particles.iter().map(|&p| points[p]).collect();
