@@ -27,6 +27,8 @@ pub struct Args {
 const TOLERANCE_M: f64 = 2e-5;
 /// Frames that are timed, after one untimed frame.
 const FRAMES: usize = 5;
+/// Particles along either side of the sheets that are timed.
+const GRIDS: [usize; 2] = [32, 64];
 
 #[derive(serde::Serialize)]
 struct Report {
@@ -38,12 +40,21 @@ struct Report {
     passed: bool,
     /// Whether it computes wrong results, or is the CPU path and does not run.
     failed: bool,
-    /// Milliseconds per frame by grid size.
-    ms_per_frame: Vec<(usize, f64)>,
+    times: Vec<Timing>,
 }
 
-/// Error of the self-test [m] and milliseconds per frame by grid size.
-type Measured = (f64, Vec<(usize, f64)>);
+/// How long a frame of one cloth takes with the default number of iterations.
+#[derive(Clone, Debug, serde::Serialize)]
+struct Timing {
+    solver: &'static str,
+    iterations: usize,
+    /// Particles along either side.
+    grid: usize,
+    ms_per_frame: f64,
+}
+
+/// Error of the self-test [m] and the timings.
+type Measured = (f64, Vec<Timing>);
 
 pub fn run(args: &Args) -> Result<Ending> {
     let found = adapters();
@@ -72,15 +83,32 @@ pub fn run(args: &Args) -> Result<Ending> {
             None => examine(name, || Ok(Device::Gpu(Context::headless(&AdapterChoice::Index(i))?))),
         });
     }
+    let fastest = fastest(&reports);
     if args.json {
         let listed: Vec<_> = found.iter().map(summary).collect();
+        let recommended: Vec<_> = fastest
+            .iter()
+            .map(|(device, timing)| {
+                let mut with_device = serde_json::to_value(timing)?;
+                with_device["device"] = (*device).into();
+                Ok(with_device)
+            })
+            .collect::<serde_json::Result<_>>()?;
         let all = serde_json::json!({
-            "version": env!("CARGO_PKG_VERSION"), "adapters": listed, "auto": auto, "devices": reports
+            "version": env!("CARGO_PKG_VERSION"), "adapters": listed, "auto": auto, "devices": reports,
+            "recommended": recommended,
         });
         writeln!(out, "{all:#}")?;
     } else {
         for report in &reports {
             print(&mut out, report)?;
+        }
+        for (device, Timing { solver, grid, ms_per_frame, .. }) in &fastest {
+            let frame = format!("{grid}x{grid} {ms_per_frame:.2} ms/frame");
+            writeln!(out, "fastest for one cloth: {frame} with --solver {solver} on {device}")?;
+        }
+        if !fastest.is_empty() {
+            writeln!(out, "where frames must be exact: --solver newton, on the CPU alone")?;
         }
     }
     Ok(if reports.iter().any(|r| r.failed) { Ending::CheckFailed } else { Ending::Done })
@@ -88,8 +116,14 @@ pub fn run(args: &Args) -> Result<Ending> {
 
 impl Report {
     fn unusable(device: String, problem: String) -> Self {
-        let ms_per_frame = Vec::new();
-        Self { device, problem: Some(problem), error_m: None, passed: false, failed: false, ms_per_frame }
+        Self {
+            device,
+            problem: Some(problem),
+            error_m: None,
+            passed: false,
+            failed: false,
+            times: Vec::new(),
+        }
     }
 
     /// Builds the report from the outcome of the self-test (its error) and the timings. An adapter that
@@ -97,9 +131,9 @@ impl Report {
     /// not run.
     fn of(device: String, on_cpu: bool, outcome: fnopt::Result<Measured>) -> Self {
         match outcome {
-            Ok((error, ms_per_frame)) => {
+            Ok((error, times)) => {
                 let passed = error <= TOLERANCE_M;
-                Self { device, problem: None, error_m: Some(error), passed, failed: !passed, ms_per_frame }
+                Self { device, problem: None, error_m: Some(error), passed, failed: !passed, times }
             }
             Err(e) => {
                 let failed = on_cpu || matches!(e, Error::NonFinite { .. });
@@ -118,10 +152,13 @@ fn examine(name: String, open: impl FnOnce() -> fnopt::Result<Device>) -> Report
         let weights = Arc::new(load_weights(None)?);
         // The network's step alone: a step that is checked against the energy would hide part of an error.
         let error = self_test(&device, &Optimizer::paper(weights.clone()))?;
-        let optimizer = Optimizer::learned(weights);
         let mut times = Vec::new();
-        for n in [32, 64] {
-            times.push((n, time(&device, &optimizer, n)?));
+        for (solver, optimizer) in
+            [("spectral", Optimizer::spectral()), ("fnopt", Optimizer::learned(weights))]
+        {
+            for grid in GRIDS {
+                times.push(time(&device, (solver, &optimizer), grid)?);
+            }
         }
         Ok((error, times))
     };
@@ -147,11 +184,27 @@ fn self_test(device: &Device, optimizer: &Optimizer) -> fnopt::Result<f64> {
     Ok(errors.fold(0.0, f64::max))
 }
 
-fn time(device: &Device, optimizer: &Optimizer, n: usize) -> fnopt::Result<f64> {
+/// Returns the least time on any device that passed, with that device, for each size.
+fn fastest(reports: &[Report]) -> Vec<(&str, &Timing)> {
+    let passed = reports.iter().filter(|report| report.passed);
+    let all: Vec<_> = passed.flat_map(|r| r.times.iter().map(|timing| (&*r.device, timing))).collect();
+    let least = |grid| {
+        let of_grid = all.iter().filter(|(_, timing)| timing.grid == grid);
+        of_grid.min_by(|(_, a), (_, b)| a.ms_per_frame.total_cmp(&b.ms_per_frame)).copied()
+    };
+    GRIDS.into_iter().filter_map(least).collect()
+}
+
+fn time(
+    device: &Device,
+    (solver, optimizer): (&'static str, &Optimizer),
+    grid: usize,
+) -> fnopt::Result<Timing> {
     let mut scene = Scene::default();
-    scene.regrid(Grid::new(n, n, "doctor")?)?;
+    scene.regrid(Grid::new(grid, grid, "doctor")?)?;
     let setup = scene.setup()?;
-    let mut simulator = Simulator::new(device, &setup.model, optimizer, 10)?;
+    let iterations = optimizer.default_iterations();
+    let mut simulator = Simulator::new(device, &setup.model, optimizer, iterations)?;
     simulator.set_state(&setup.start.cast());
     let mut times = Vec::new();
     simulator.rollout((1..=FRAMES + 1).map(|f| setup.control(f)), |frame| {
@@ -160,7 +213,7 @@ fn time(device: &Device, optimizer: &Optimizer, n: usize) -> fnopt::Result<f64> 
         }
         ControlFlow::Continue(())
     })?;
-    Ok(median(&times))
+    Ok(Timing { solver, iterations, grid, ms_per_frame: median(&times) })
 }
 
 /// The features and limits that matter to fnopt.
@@ -212,10 +265,12 @@ fn print(out: &mut impl Write, report: &Report) -> std::io::Result<()> {
     if let Some(error) = report.error_m {
         write!(out, " (error {error:.1e} m)")?;
     }
-    for (n, ms) in &report.ms_per_frame {
-        write!(out, ", {n}x{n} {ms:.2} ms/frame")?;
+    writeln!(out)?;
+    for Timing { solver, iterations, grid, ms_per_frame } in &report.times {
+        let what = format!("{solver}, {iterations} iterations");
+        writeln!(out, "  {what:22} {grid}x{grid} {ms_per_frame:.2} ms/frame")?;
     }
-    writeln!(out)
+    Ok(())
 }
 
 #[cfg(test)]
@@ -230,5 +285,20 @@ mod tests {
         assert!(failed(false, Err(Error::NonFinite { frame: 1, cloth: 0 })));
         assert!(!failed(false, Err(Error::Device("limits are too small".into()))));
         assert!(failed(true, Err(Error::Device("anything".into()))));
+    }
+
+    #[test]
+    fn the_fastest_of_the_devices_that_passed_is_recommended() {
+        let report = |device: &str, error, [small, large]: [f64; 2]| {
+            let timing =
+                |(grid, ms_per_frame)| Timing { solver: "spectral", iterations: 20, grid, ms_per_frame };
+            Report::of(device.into(), false, Ok((error, [(32, small), (64, large)].map(timing).to_vec())))
+        };
+        let reports =
+            [report("cpu", 1e-6, [2.0, 9.0]), report("card", 1e-6, [3.0, 4.0]), report("odd", 1.0, [1.0; 2])];
+        let found: Vec<_> =
+            fastest(&reports).iter().map(|(device, of)| (*device, of.grid, of.ms_per_frame)).collect();
+        assert_eq!(found, [("cpu", 32, 2.0), ("card", 64, 4.0)]);
+        assert!(fastest(&[Report::unusable("card".into(), "too old".into())]).is_empty());
     }
 }
