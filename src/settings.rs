@@ -23,10 +23,11 @@ pub struct LbfgsSettings {
     pub curvature: f64,
 }
 
-/// Passes that part layers of a cloth at the end of a frame, after a search for those that its optimizer has left too near to
-/// each other, and most such rounds.
+/// Passes of a round that parts layers of a cloth at the end of a frame, after a search for those that its optimizer has left too
+/// near to each other.
 pub const PARTINGS: usize = 8;
-/// See [`PARTINGS`].
+
+/// Most rounds, each a search and [`PARTINGS`] passes, at the end of a frame.
 pub const PARTING_ROUNDS: usize = 3;
 
 /// Largest multiple of the last step at which its secant's minimum is sought: farther out the slopes at its ends say

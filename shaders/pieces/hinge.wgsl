@@ -8,7 +8,7 @@ struct Hinge {
     moment: f32, // 0 where there is no couple
 }
 
-// Edges that come nearer to the axis of their couple than the root of this feel less of it.
+// Least squared lever arm of a couple: on an edge that comes nearer to the axis, its force stays finite.
 const NEAREST: f32 = 1e-2;
 
 // Whether cloth b has the particle (i, j).

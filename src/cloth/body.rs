@@ -262,8 +262,8 @@ pub struct LayerStats {
     /// Least distance between two parts \[edges\], along the direction in which they are kept apart; infinite without
     /// pairs.
     pub nearest: f64,
-    /// The most pairs for each particle that there is room for, if there were more. Then none was kept;
-    /// [`Simulator`](crate::Simulator) ends with an error.
+    /// The most pairs for each particle that there is room for, if there were more: 128 on average on the CPU, 32 for any particle
+    /// on a GPU, and 8 in the search at the end of a frame. Then none was kept; [`Simulator`](crate::Simulator) ends with an error.
     pub overflow: Option<usize>,
 }
 

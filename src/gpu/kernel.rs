@@ -289,7 +289,8 @@ fn trusted_module(
     // Computed indices are bounded by the sizes in the parameters, which the host side of each kernel
     // (`crate::kernels`) asserts against the shapes of the tensors it binds; where a whole buffer is bound
     // for a view, `Tensor::view` has asserted that the view is within it. Indices that are data are bounded
-    // by the kernels themselves: particles in buckets, handle slots, the slots of drawn cloths in their pool
-    // and the newest pair of L-BFGS.
+    // by the kernels themselves (particles in buckets, handle slots, the slots of drawn cloths in their pool
+    // and the newest pair of L-BFGS) or by what wrote them: pairs of parts hold particles that `layer_find` has found on the
+    // grid, and the cells of an embedded mesh are those of its grid (`cloth::Embedding`).
     unsafe { device.create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked()) }
 }

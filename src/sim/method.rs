@@ -7,7 +7,9 @@ use crate::cloth::modes::Reactions;
 use crate::gpu::{Context, Schedule, Tensor, Tuning};
 use crate::kernels::cloth::Objective;
 use crate::kernels::operator::Scales;
-use crate::kernels::optim::{Adam, GradientDescent, Lbfgs, LbfgsMemory, Part, QuasiNewton, Subspace};
+use crate::kernels::optim::{
+    Adam, GradientDescent, Lbfgs, LbfgsMemory, Part, QuasiNewton, Reacting, Subspace,
+};
 use crate::settings::{AdamSettings, LEARNED_ITERATIONS, LbfgsSettings};
 use crate::{Error, Result};
 
@@ -55,30 +57,28 @@ impl Method {
     ) -> Result<Self> {
         let (grid, batch) = (model.grid, model.batch());
         let (samples, n) = (3 * batch, grid.particles());
-        let memory = |settings: LbfgsSettings| LbfgsMemory::new(context, batch, n, settings.history);
-        let refused = || {
+        if !optimizer.runs_on_gpu() {
             let expected = "a device that supports this optimizer";
             let found = format!("{}, which does not (use the CPU)", context.name());
-            Err(Error::invalid("optimizer", optimizer.name(), expected, found))
-        };
+            return Err(Error::invalid("optimizer", optimizer.name(), expected, found));
+        }
+        let memory = |settings: LbfgsSettings| LbfgsMemory::new(context, batch, n, settings.history);
         let learned = |weights, iterations: usize| {
             let step = Box::new(Learned::new(context, weights, tuning, (grid, samples))?);
             Result::Ok((step, rows(context, "scales", iterations, samples)?))
         };
-        if let ([Direction::Spectral, Direction::CoRotated, Direction::Last, rest @ ..], Length::Subspace) =
-            (&optimizer.directions[..], optimizer.length)
-        {
-            let network = match rest {
-                [] => None,
-                [Direction::Network(weights)] => Some(learned(weights, iterations.min(LEARNED_ITERATIONS))?),
-                _ => return refused(),
-            };
+        if optimizer.length == Length::Subspace {
+            let weights = optimizer.weights();
+            let network = weights.map(|weights| learned(weights, iterations.min(LEARNED_ITERATIONS)));
+            let network = network.transpose()?;
             let room = (optimizer.directions.len(), Reactions::most(model));
             let plan = Subspace::new(context, room, (iterations, tuning.staged), (grid, batch))?;
             let plan = Box::new(plan);
             return Ok(Self::Subspace { plan, network });
         }
-        let [direction] = &optimizer.directions[..] else { return refused() };
+        let [direction] = &optimizer.directions[..] else {
+            unreachable!("checked: one direction for each other length")
+        };
         Ok(match (direction, optimizer.length) {
             (Direction::Network(weights), Length::Fixed(_)) => {
                 let (step, scales) = learned(weights, iterations)?;
@@ -94,9 +94,8 @@ impl Method {
             },
             (&Direction::Lbfgs { settings, initial: Initial::Identity }, length) => {
                 let kernel = match length {
-                    Length::Fixed(_) => Lbfgs::new(context, settings)?,
                     Length::Secant => Lbfgs::along_secants(context, settings, Part::Whole)?,
-                    _ => return refused(),
+                    _ => Lbfgs::new(context, settings)?,
                 };
                 kernel.check_size(context, n)?;
                 Self::Lbfgs { kernel, memory: memory(settings)? }
@@ -106,7 +105,7 @@ impl Method {
                 plan.check_size(context, n)?;
                 Self::QuasiNewton { plan: Box::new(plan), memory: memory(settings)? }
             }
-            _ => return refused(),
+            (direction, length) => unreachable!("checked: {} with {length:?}", direction.name()),
         })
     }
 
@@ -140,15 +139,20 @@ impl Method {
         }
     }
 
-    /// Makes room for the handles of these cloths, and returns whether a frame must be recorded anew for that. Fails, and changes
-    /// nothing, if there is not enough memory.
-    pub fn make_room(&mut self, context: &Context, model: &Model) -> Result<bool> {
+    /// Returns memory for the handles of these cloths if they take more than there is. Fails if the device has too little.
+    pub fn room_for(&self, context: &Context, model: &Model) -> Result<Option<Reacting>> {
         match self {
-            Self::Subspace { plan, .. } if plan.lacks_room(model) => {
-                plan.make_room(context, model)?;
-                Ok(true)
-            }
-            _ => Ok(false),
+            Self::Subspace { plan, .. } if plan.lacks_room(model) => plan.room_for(context, model).map(Some),
+            _ => Ok(None),
+        }
+    }
+
+    /// Keeps handles in this memory from now on, and returns that in which they were. Frames that were recorded before go on
+    /// with the latter. Panics if the optimizer keeps none.
+    pub fn replace_room(&mut self, room: Reacting) -> Reacting {
+        match self {
+            Self::Subspace { plan, .. } => plan.replace_room(room),
+            _ => panic!("the optimizer keeps no handles"),
         }
     }
 

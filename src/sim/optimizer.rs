@@ -9,8 +9,9 @@ use std::sync::Arc;
 /// An optimizer of a frame's energy: in each iteration it takes the gradient at the current accelerations,
 /// proposes directions, and adds a step along them.
 ///
-/// All of them start a frame from `a = 0`. The named ones ([`Optimizer::named`]) are values of this type, and
-/// other combinations that [`Optimizer::check`] accepts run as well.
+/// A frame starts from `a = 0`, with [`Length::Subspace`] near the accelerations of the two frames before. The named ones
+/// ([`Optimizer::named`]) are values of this type; other combinations that [`Optimizer::check`] accepts run as well, on a GPU
+/// those for which [`Optimizer::runs_on_gpu`] holds.
 #[derive(Clone, Debug)]
 pub struct Optimizer {
     /// The directions of an iteration.
@@ -78,7 +79,7 @@ pub enum Length {
     /// iterations.
     Armijo,
     /// To the minimum of the energy's local quadratic model over all of its directions. A step that turns out to
-    /// raise the energy is halved, so the energy of a frame never rises.
+    /// raise the energy is shortened, to a tenth to a half, so the energy of a frame never rises.
     Subspace,
 }
 
@@ -253,12 +254,15 @@ impl Optimizer {
         Ok(())
     }
 
-    /// Whether it has GPU kernels; the others run on the CPU only.
+    /// Whether it has GPU kernels; the others run on the CPU only. Of subspaces, those of [`Optimizer::spectral`] and
+    /// [`Optimizer::learned`] have, with their directions in that order.
     pub fn runs_on_gpu(&self) -> bool {
-        let on_cpu = |d: &Direction| {
-            matches!(d, Direction::Newton | Direction::Lbfgs { initial: Initial::Factored, .. })
-        };
-        !self.directions.iter().any(on_cpu)
+        use Direction::{CoRotated, Last, Lbfgs, Network, Newton, Spectral};
+        match (&self.directions[..], self.length) {
+            ([Spectral, CoRotated, Last] | [Spectral, CoRotated, Last, Network(_)], Length::Subspace) => true,
+            (_, Length::Subspace) | ([Newton | Lbfgs { initial: Initial::Factored, .. }], _) => false,
+            _ => true,
+        }
     }
 
     /// Whether it iterates until it converges, whatever the number of iterations.
@@ -343,6 +347,28 @@ mod tests {
             assert_eq!(optimizer.name(), name);
             optimizer.check().unwrap();
         }
+    }
+
+    #[test]
+    fn other_subspaces_than_the_named_ones_run_on_the_cpu_alone() {
+        let weights = Arc::new(Weights::zeros(crate::network::Config::default()));
+        let network = || Direction::Network(weights.clone());
+        let subspace = |directions: Vec<Direction>| Optimizer { directions, length: Length::Subspace };
+        for optimizer in
+            [Optimizer::spectral(), Optimizer::learned(weights.clone()), Optimizer::quasi_newton()]
+        {
+            assert!(optimizer.runs_on_gpu(), "{}", optimizer.name());
+        }
+        for directions in [
+            vec![Direction::Spectral, Direction::Last],
+            vec![Direction::CoRotated, Direction::Spectral, Direction::Last],
+            vec![network(), Direction::Spectral, Direction::CoRotated, Direction::Last],
+        ] {
+            let optimizer = subspace(directions);
+            optimizer.check().unwrap();
+            assert!(!optimizer.runs_on_gpu(), "{:?}", optimizer.directions);
+        }
+        assert!(!Optimizer::newton().runs_on_gpu() && !Optimizer::quasi_newton_exact().runs_on_gpu());
     }
 
     #[test]

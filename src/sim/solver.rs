@@ -238,7 +238,7 @@ impl Solver {
     /// and accelerations keep their values. If the handles of any cloth change, all handles are held where they
     /// are, until a control moves them.
     ///
-    /// Fails if the number of cloths differs, if they are not valid ([`Model::check`]), or if one has a repulsion, or touches itself, or has
+    /// Fails, and changes nothing, if the number of cloths differs, if they are not valid ([`Model::check`]), or if one has a repulsion, touches itself, has angles at rest, or has
     /// more bodies or larger meshes than any had, although the solver was built without room for them, which requires a new solver.
     pub fn set_cloths(&mut self, cloths: &[Cloth]) -> Result<()> {
         let model = self.model.with_cloths(cloths)?;
@@ -262,21 +262,38 @@ impl Solver {
             let expected = format!("meshes of {room} samples at most, for which the solver was built");
             return Err(Error::invalid("model", "bodies", expected, format!("{found} samples")));
         }
-        let grown = self.method.make_room(&self.context, &model)?;
-        let handles_differ = model.marks() != self.model.marks();
+        self.make_room(&model)?;
+        let handles =
+            |model: &Model| model.cloths.iter().map(|cloth| cloth.handles.clone()).collect::<Vec<_>>();
+        let handles_differ = handles(&model) != handles(&self.model);
         if handles_differ {
             self.targets = self.objective.targets.view(0, &[model.handles(), 3]);
         }
         self.objective.set_cloths(&model);
         self.method.set_cloths(&self.context, &model);
-        if grown {
-            self.frame = self.build_schedule()?;
-        }
         self.model = model;
         if handles_differ {
             self.hold_handles();
         }
         Ok(())
+    }
+
+    /// Makes room for the handles of these cloths if they take more than there is. Fails, and changes nothing, if the device has too little
+    /// memory.
+    fn make_room(&mut self, model: &Model) -> Result<()> {
+        let context = self.context.clone();
+        let Some(room) = context.checked(|| self.method.room_for(&context, model))? else { return Ok(()) };
+        let before = self.method.replace_room(room);
+        match context.checked(|| self.build_schedule()) {
+            Ok(frame) => {
+                self.frame = frame;
+                Ok(())
+            }
+            Err(error) => {
+                self.method.replace_room(before);
+                Err(error)
+            }
+        }
     }
 
     /// Copies the positions of the handles to their targets, on the device.

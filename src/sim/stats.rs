@@ -9,7 +9,7 @@ use crate::cloth::{BodyStats, EnergyTerms, LayerStats};
 pub struct FrameStats {
     /// Energy terms at the accepted acceleration.
     pub energy: EnergyTerms,
-    /// Norm of dL/da over the whole cloth in the first iteration, at a = 0.
+    /// Norm of dL/da over the whole cloth at a = 0, before or in the first iteration.
     pub gradient_first: f64,
     /// Norm of dL/da in the last iteration, before its step; at the minimum for
     /// [`Optimizer::newton`](super::Optimizer::newton).

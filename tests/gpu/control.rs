@@ -3,7 +3,7 @@
 use crate::common::{context, device, read};
 use crate::solver::{assert_same, solver, step, varied_batch};
 use fnopt::Error;
-use fnopt::cloth::{Control, State};
+use fnopt::cloth::{Control, Map, State};
 use fnopt::sim::{Optimizer, Solver};
 use fnopt::{Device, Simulator};
 use std::ops::ControlFlow;
@@ -181,11 +181,17 @@ fn new_handles_stay_where_they_are_until_a_control_moves_them() {
     let held = handles(&solver);
     context().submit(|encoder| solver.record(encoder));
     assert_eq!(handles(&solver), held);
-    // A change of material leaves the targets of a control that was set before.
-    let moved: Vec<[f32; 3]> = held.iter().map(|p| [p[0], p[1], p[2] + 0.5]).collect();
-    solver.set_control(&Control { handles: moved.clone(), ..Control::default() });
-    cloths[0].material.bend *= 2.0;
-    solver.set_cloths(&cloths).unwrap();
-    context().submit(|encoder| solver.record(encoder));
-    assert_eq!(handles(&solver), moved);
+    // A change of material, or of its map, leaves the targets of a control that was set before.
+    let mut moved = held;
+    for what in ["material", "map"] {
+        moved.iter_mut().for_each(|place| place[2] += 0.5);
+        solver.set_control(&Control { handles: moved.clone(), ..Control::default() });
+        match what {
+            "material" => cloths[0].material.bend *= 2.0,
+            _ => cloths[0].density = Some(Map::new(model.grid, &vec![1.5; n], "test", "density").unwrap()),
+        }
+        solver.set_cloths(&cloths).unwrap();
+        context().submit(|encoder| solver.record(encoder));
+        assert_eq!(handles(&solver), moved, "{what}");
+    }
 }

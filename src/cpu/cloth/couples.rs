@@ -7,7 +7,7 @@ use crate::cloth::terms::Elastic;
 use crate::cpu::Real;
 use crate::sim::MAX_DIRECTIONS;
 
-/// Edges that come nearer to the axis of their couple than the root of this \[edges^2\] feel less of it.
+/// Least squared lever arm of a couple \[edges^2\]: on an edge that comes nearer to the axis, its force stays finite.
 const NEAREST: f64 = 1e-2;
 
 /// The couples of a cloth in one frame. With the rest angle r of a particle and the coefficient c of its bend, the

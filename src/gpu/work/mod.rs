@@ -12,7 +12,7 @@ mod value;
 
 use naga::{
     AddressSpace, BinaryOperator, Block, BuiltIn, Expression, Function, GlobalVariable, Handle,
-    LocalVariable, MathFunction, Module, Statement, SwitchValue, Type, TypeInner,
+    LocalVariable, MathFunction, Module, Statement, SwitchCase, SwitchValue, Type, TypeInner,
 };
 use std::collections::HashMap;
 use value::{Number, Shape, Value};
@@ -340,14 +340,16 @@ impl<'a> Walk<'a> {
                 return self.branch(frame, *condition, [accept, reject]);
             }
             Statement::Switch { selector, cases } => {
-                let wanted = self.value(frame, *selector).numbers[0].whole();
-                let is = |value: SwitchValue| match value {
-                    SwitchValue::I32(v) => wanted == Some(v.into()),
-                    SwitchValue::U32(v) => wanted == Some(v.into()),
-                    SwitchValue::Default => false,
+                let selector = self.value(frame, *selector);
+                let flow = match selector.numbers[0].whole() {
+                    Some(wanted) => self.case(frame, cases, wanted),
+                    // What is data may differ from one lane to the next: all cases, as with `branch`.
+                    None => {
+                        self.issue(1.0, 0.0, selector.ready);
+                        let flows: Vec<_> = cases.iter().map(|case| self.block(frame, &case.body)).collect();
+                        if flows.iter().all(|flow| *flow == flows[0]) { flows[0] } else { Flow::Next }
+                    }
                 };
-                let case = cases.iter().find(|case| is(case.value)).or(cases.last());
-                let flow = case.map_or(Flow::Next, |case| self.block(frame, &case.body));
                 return if flow == Flow::Break { Flow::Next } else { flow };
             }
             Statement::Loop { body, continuing, break_if } => {
@@ -402,6 +404,18 @@ impl<'a> Walk<'a> {
             _ => {}
         }
         Flow::Next
+    }
+
+    /// Goes through the case for this value, else through the default.
+    fn case(&mut self, frame: &mut Frame<'a>, cases: &'a [SwitchCase], wanted: i64) -> Flow {
+        let is = |value: SwitchValue| match value {
+            SwitchValue::I32(v) => wanted == i64::from(v),
+            SwitchValue::U32(v) => wanted == i64::from(v),
+            SwitchValue::Default => false,
+        };
+        let default = || cases.iter().find(|case| case.value == SwitchValue::Default);
+        let case = cases.iter().find(|case| is(case.value)).or_else(default);
+        case.map_or(Flow::Next, |case| self.block(frame, &case.body))
     }
 
     fn branch(

@@ -35,7 +35,7 @@ pub struct Objective {
     /// Energy terms and stretch, as [`Objective::energy`] leaves them, shape [B, 8]; see
     /// [`ClothTerms`](super::ClothTerms).
     pub terms: Tensor,
-    /// Constants of the cloths, shape [B, 20].
+    /// Constants of the cloths, shape [B, 24].
     cloths: Tensor,
     /// Parts of the energy, shape [B, parts, 8].
     parts: Tensor,
@@ -196,7 +196,7 @@ impl Objective {
         self.x.shape()[0]
     }
 
-    /// Returns the constants of the cloths ([`ClothParams`]), shape [B, 20].
+    /// Returns the constants of the cloths ([`ClothParams`]), shape [B, 24].
     pub fn cloths(&self) -> &Tensor {
         &self.cloths
     }

@@ -120,11 +120,15 @@ impl Subspace {
         Reactions::most(model) > self.reacting.handles.shape()[1]
     }
 
-    /// Makes room for the handles of these cloths. Frames that were recorded before keep the old ones. Fails if there is not enough
-    /// memory.
-    pub fn make_room(&mut self, context: &Context, model: &Model) -> Result<()> {
-        self.reacting = Reacting::new(context, Reactions::most(model), (self.grid, model.batch()))?;
-        Ok(())
+    /// Returns memory for the handles of these cloths. Fails if the device has too little.
+    pub fn room_for(&self, context: &Context, model: &Model) -> Result<Reacting> {
+        Reacting::new(context, Reactions::most(model), (self.grid, model.batch()))
+    }
+
+    /// Keeps handles in this memory from now on, and returns that in which they were. Frames that were recorded before go on with
+    /// the latter.
+    pub fn replace_room(&mut self, room: Reacting) -> Reacting {
+        std::mem::replace(&mut self.reacting, room)
     }
 
     /// Takes the handles and materials of the cloths, from the next submission on. Panics without room for them
