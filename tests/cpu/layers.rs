@@ -12,6 +12,7 @@ use fnopt::sim::Optimizer;
 use fnopt::{Device, Simulator};
 use glam::DVec3;
 use std::collections::BTreeSet;
+use std::path::Path;
 
 const SETTINGS: SelfContact = SelfContact { thickness: 0.16, friction: 0.4 };
 
@@ -331,6 +332,33 @@ fn twisted_and_folded_cloths_never_pass_through_themselves() {
         // No pairs contradict each other.
         assert!(nearest > 0.0, "{name} at {h}: {nearest}");
     }
+}
+
+/// A sheet that falls on a bar hangs from it on both sides, until two plates press its halves together.
+#[test]
+fn a_sheet_that_a_bar_folds_never_passes_through_itself() {
+    let plate = |side: f64| {
+        let place = |apart: f64| format!("[{}, -0.45, 0]", 0.5 + side * apart);
+        format!(
+            r#"{{"shape": "box", "sides_m": [0.02, 0.6, 1.4], "position_m": {}, "friction": 0.2, "motion": [
+                {{"time_s": 1.4, "position_m": {}}}, {{"time_s": 2.4, "position_m": {}}}]}}"#,
+            place(0.6),
+            place(0.6),
+            place(0.016)
+        )
+    };
+    let text = format!(
+        r#"{{"grid": [64, 64], "start": "flat", "handles": [], "motion": "none", "frames": 190, "self_contact": true, "bodies": [
+            {{"shape": "capsule", "radius_m": 0.02, "length_m": 1.4, "position_m": [0.5, -0.1, 0], "axis": [0, 0, 1], "friction": 2}},
+            {}, {}]}}"#,
+        plate(1.0),
+        plate(-1.0)
+    );
+    let scene = Scene::parse(&text, "a bar", Path::new("")).unwrap();
+    let Course { intersections, pressing, nearest } = course(&scene, 190);
+    println!("over a bar: layers press in {pressing} frames, {nearest} edges apart");
+    assert_eq!(intersections, 0);
+    assert!(pressing > 10 && nearest > 0.0, "{pressing} frames in which layers press, {nearest} edges apart");
 }
 
 #[test]

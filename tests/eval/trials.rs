@@ -90,7 +90,7 @@ fn a_sheet_held_along_a_whole_edge_hangs_still() {
         let places = (0..n).map(|k| if along_height { k * n } else { k }).map(|p| p.to_string());
         places.collect::<Vec<_>>().join(",")
     };
-    for n in [24, 32, 48] {
+    for n in [24, 32, 48, 64] {
         let scene = format!(
             r#"{{"grid": [{n}, {n}], "start": "hanging", "handles": [{}], "motion": "none", "frames": 31}}"#,
             edge(n, true)
@@ -101,12 +101,13 @@ fn a_sheet_held_along_a_whole_edge_hangs_still() {
             assert!(run.moved(0, 30) < 1e-3, "{solver}, {n}: {:.1e} m", run.moved(0, 30));
         }
     }
-    // Held at the side i = 0, which hangs vertically, and all round.
+    // Held at five places of the edge, at the side i = 0, which hangs vertically, and all round.
+    let five = [0, 4, 8, 12, 15].map(|k| (16 * k).to_string()).join(",");
     let all_round: Vec<String> = (0..256)
         .filter(|p| [0, 15].contains(&(p / 16)) || [0, 15].contains(&(p % 16)))
         .map(|p| p.to_string())
         .collect();
-    for handles in [edge(16, false), all_round.join(",")] {
+    for handles in [five, edge(16, false), all_round.join(",")] {
         let scene = format!(
             r#"{{"grid": [16, 16], "start": "hanging", "handles": [{handles}], "motion": "none", "frames": 31}}"#
         );
@@ -134,6 +135,38 @@ fn a_solver_that_does_not_reach_the_minimum_is_not_sound() {
             run.verdict
         );
         assert!(run.verdict.faults()[0].to_string().contains("more iterations"));
+    }
+}
+
+/// Uniform wind drives a flat sheet that nothing holds evenly, and one whose rows are reversed moves as its mirror image.
+#[test]
+fn uniform_wind_drives_a_free_sheet_evenly() {
+    let flat = |reversed: bool| {
+        let place = |p: usize| {
+            let (i, j) = (p / 16, p % 16);
+            let i = if reversed { 15 - i } else { i };
+            [i as f64 / 15.0, 0.0, j as f64 / 15.0]
+        };
+        let vertices: Vec<[f64; 3]> = (0..256).map(place).collect();
+        serde_json::json!({ "vertices": vertices, "grid": [16, 16] })
+    };
+    for solver in ["spectral", "fnopt", "newton", "quasi-newton"] {
+        let [run, reversed] = [false, true].map(|reversed| {
+            let scene = serde_json::json!({
+                "grid": [16, 16], "handles": [], "motion": "none", "gravity": 0, "frames": 41, "start": flat(reversed),
+                "wind": { "velocity": [0, 3, 0], "density": 1.2, "drag": 0 },
+            });
+            Run::sound(&scene.to_string(), solver)
+        });
+        let [last, mirrored] = [&run, &reversed].map(|run| run.trajectory.frame(40));
+        let heights = last.iter().map(|p| p[1]);
+        let (low, high) = heights.fold((f32::INFINITY, 0.0f32), |(low, high), y| (low.min(y), high.max(y)));
+        assert!(low > 0.5 && high - low < 1e-4, "{solver}: from {low} to {high} m");
+        for (p, of) in last.iter().enumerate() {
+            let other = mirrored[(15 - p / 16) * 16 + p % 16];
+            let far = of.iter().zip(other).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            assert!(far < 1e-4, "{solver}: particle {p} at {of:?}, mirrored {other:?}");
+        }
     }
 }
 

@@ -120,7 +120,7 @@ fn apart(found: &[f32], exact: &[f64]) -> (f64, f64) {
     ((squares / found.len() as f64).sqrt(), largest(&differences))
 }
 
-/// Computes each of twenty frames of the default scene from the state that double precision reached. After
+/// Computes each of eleven frames of the default scene from the state that double precision reached. After
 /// one frame, the device is as close to double precision as the host is in single: in the median to a factor of two, and at
 /// most to a factor of ten, since a line search may end elsewhere in one frame. (The
 /// next test starts frames where the device ended, and shows what earlier roundings grow to.)
@@ -134,7 +134,7 @@ fn frames_on_the_device_are_nearly_as_exact_as_on_the_host() {
         let mut double = cpu::Solver::<f64>::new(&setup.model, &optimizer, 10).unwrap();
         let mut start = setup.start.cast::<f32>();
         let (mut on_device, mut on_host) = (Vec::new(), Vec::new());
-        for frame in 1..=20 {
+        for frame in 1..=11 {
             let mut exact = start.cast::<f64>();
             double.reset_memory();
             double.step(&mut exact, &setup.control(frame));
@@ -176,7 +176,6 @@ fn twenty_frames_drift_within_bounds_of_the_host() {
     let learned = Optimizer::paper(starter().clone());
     for (optimizer, first, (mean, most)) in [
         (learned.clone(), 31, (1e-6, 1e-5)),
-        (learned.clone(), 61, (1e-6, 1e-5)),
         (learned, 91, (1e-6, 1e-5)),
         (Optimizer::gradient_descent(), 31, (1e-7, 1e-6)),
         (Optimizer::lbfgs(), 31, (1e-3, 1e-3)),
@@ -212,6 +211,31 @@ fn twenty_frames_drift_within_bounds_of_the_host() {
             );
             assert!(on_device.1 < allowed.1, "{what}: {:e} edges, not {:e}", on_device.1, allowed.1);
         }
+    }
+}
+
+/// Where steps are checked against the energy, little is left to amplify: twenty frames of a sheet that swings end at the same place
+/// on both devices, to a thousandth of its side.
+#[test]
+fn twenty_frames_of_checked_steps_stay_together() {
+    let _turn = device();
+    let setup = Scene::released().setup().unwrap();
+    let start = setup.start.cast::<f32>();
+    let most = 1e-3 * (setup.model.grid.h - 1) as f64;
+    for optimizer in [Optimizer::spectral(), Optimizer::learned(Weights::shipped())] {
+        let solver = solver(&setup.model, &optimizer, 20, &start);
+        let mut host = cpu::Solver::<f32>::new(&setup.model, &optimizer, 20).unwrap();
+        let mut on_host = start.clone();
+        let mut farthest = 0.0f64;
+        for frame in 1..=20 {
+            let found = step(&solver, &setup.control(frame));
+            host.step(&mut on_host, &setup.control(frame));
+            farthest = farthest.max(apart(&found.x, &on_host.cast::<f64>().x).1);
+        }
+        println!("{}: {farthest:.1e} edges after 20 frames", optimizer.name());
+        assert!(farthest < most, "{}: {farthest} edges, not {most}", optimizer.name());
+        let moved = apart(&start.x, &on_host.cast::<f64>().x).1;
+        assert!(moved > 0.5, "the sheet swings: {moved} edges");
     }
 }
 
