@@ -1,8 +1,8 @@
 //! Cloth simulation on the GPU with FNOpt (Chen, Tran and Parashar, WACV 2026), a Fourier neural operator
 //! trained, from physics alone, to be an *optimizer*.
 //!
-//! Each frame minimises the backward-Euler energy of the cloth in about ten iterations, for arbitrary handles
-//! and motions. The shipped weights were trained on grids from 24x40 to 128x128; they run on other grids,
+//! Each frame minimises the backward-Euler energy of the cloth in ten to twenty iterations, for arbitrary
+//! handles and motions. The shipped weights were trained on grids from 24x40 to 128x128; they run on other grids,
 //! too.
 //!
 //! ```

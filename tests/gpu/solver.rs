@@ -2,7 +2,7 @@
 
 use crate::cloths::{self, one_by_one};
 use crate::common::{assert_close, context, device, half, largest, read, sharings};
-use fnopt::cloth::{Control, Grid, Model, State};
+use fnopt::cloth::{Control, Grid, Mask, Model, State};
 use fnopt::cpu::{self, Track};
 use fnopt::eval::median_gap;
 use fnopt::gpu::{Context, Readback, Tensor, Tuning};
@@ -236,6 +236,29 @@ fn twenty_frames_of_checked_steps_stay_together() {
         assert!(farthest < most, "{}: {farthest} edges, not {most}", optimizer.name());
         let moved = apart(&start.x, &on_host.cast::<f64>().x).1;
         assert!(moved > 0.5, "the sheet swings: {moved} edges");
+    }
+}
+
+/// A mask of all particles changes no bit.
+#[test]
+fn a_mask_of_all_particles_is_none() {
+    let _turn = device();
+    let (model, start, control) = varied_batch();
+    let n = model.grid.particles();
+    let mut masked = model.clone();
+    for cloth in &mut masked.cloths {
+        cloth.mask.get_or_insert_with(|| Mask::new(model.grid, &vec![true; n], "a test").unwrap());
+    }
+    assert_ne!(masked, model, "a cloth without a mask");
+    for optimizer in [Optimizer::spectral(), Optimizer::learned(starter().clone()), Optimizer::quasi_newton()]
+    {
+        let [full, masked] = [&model, &masked].map(|model| {
+            let solver = solver(model, &optimizer, 3, &start);
+            step(&solver, &control);
+            step(&solver, &control)
+        });
+        assert_same(optimizer.name(), &masked.x, &full.x);
+        assert_same(optimizer.name(), &masked.v, &full.v);
     }
 }
 
