@@ -83,6 +83,9 @@ pub struct Snapshot {
     led: Option<Vec<Pose>>,
 }
 
+/// The body that each handle of each cloth follows, if it follows one ([`Script::followed`]).
+type Followed = Vec<Vec<Option<usize>>>;
+
 impl Simulation {
     /// Sets up a scene with one cloth, on a hardware adapter if there is one, else on the CPU.
     ///
@@ -156,8 +159,8 @@ impl Simulation {
         &self.simulator.model().cloths
     }
 
-    /// Lets the events before the next frame come, and returns what the scenes do in it.
-    fn next_control(&mut self) -> Result<cloth::Control<f32>> {
+    /// Lets the events before the next frame come, and returns what the scenes do in it, and which handles follow bodies.
+    fn next_control(&mut self) -> Result<(cloth::Control<f32>, Followed)> {
         let next = self.frame.index + 1;
         let mut scripts = Scripts::resume(&self.setups, self.entered, &self.anchors)?;
         if let Some(led) = &self.led {
@@ -169,12 +172,12 @@ impl Simulation {
             self.simulator.set_cloths(&cloths)?;
             (self.entered, self.anchors) = (next, anchors(&scripts));
         }
-        Ok(scripts.control(next))
+        Ok((scripts.control(next), scripts.each().iter().map(Script::followed).collect()))
     }
 
     /// Returns what the scenes do in the next frame, to be changed for [`Simulation::step_with`]. The events before it have come.
     pub fn prescribed(&mut self) -> Result<Prescribed> {
-        let control = self.next_control()?;
+        let (control, _) = self.next_control()?;
         let model = self.simulator.model();
         let wide = |v: [f32; 3]| v.map(f64::from);
         let mut handles = Vec::with_capacity(control.handles.len());
@@ -205,18 +208,12 @@ impl Simulation {
         self.each_body().enumerate().map(pose).collect()
     }
 
-    /// Returns the body that each handle of each cloth follows now, if it follows one.
-    fn followed(&self) -> Result<Vec<Vec<Option<usize>>>> {
-        let scripts = Scripts::resume(&self.setups, self.entered, &self.anchors)?;
-        Ok(scripts.each().iter().map(Script::followed).collect())
-    }
-
     /// Leads the bodies to these poses, or where the scenes have them, from where they are, with the handles that follow them, whose targets
     /// are those of the scenes until then. Returns where the bodies are in the end; `None` as long as no host leads any.
     fn lead_bodies(
         &self,
         given: Option<&[BodyPose]>,
-        followed: &[Vec<Option<usize>>],
+        followed: &Followed,
         control: &mut cloth::Control<f32>,
     ) -> Result<Option<Vec<Pose>>> {
         if given.is_none() && self.led.is_none() {
@@ -231,21 +228,12 @@ impl Simulation {
         for (at, (b, k)) in self.each_body().enumerate() {
             let of_scene = control.sweep(model, b, k);
             let from = self.led.as_ref().map_or(of_scene.from, |led| led[at]);
-            let to = match given.map(|given| given[at]) {
+            let to = match given {
                 None => of_scene.to,
-                Some(pose) => match pose.normalised() {
-                    Some(pose) => self.setups[b].pose_of(&pose),
-                    None => {
-                        let expected = "a quaternion that is not zero";
-                        let field = format!("bodies[{at}].rotation");
-                        return Err(Error::invalid(
-                            "control",
-                            field,
-                            expected,
-                            format!("{:?}", pose.rotation),
-                        ));
-                    }
-                },
+                Some(given) => {
+                    let pose = given[at].normalised("control", format!("bodies[{at}].rotation"))?;
+                    self.setups[b].pose_of(&pose)
+                }
             };
             for (handle, _) in followed[b].iter().enumerate().filter(|(_, body)| **body == Some(k)) {
                 let target = &mut control.handles[model.handle_range(b).start + handle];
@@ -261,8 +249,8 @@ impl Simulation {
     }
 
     /// Computes the next frame as the scenes have it, events among it. After the last frame of a scene, handles and bodies stay where they
-    /// are; bodies that a host has led go back to where the scene has them. Fails as [`Simulator::step`] does; a frame that is not finite can be looked at, and cloths be started again
-    /// ([`Simulation::set_cloth_state`]).
+    /// are; bodies that a host has led go back to where the scene has them. Fails as [`Simulator::step`] does; a frame that is not finite
+    /// can be looked at, and cloths be started again ([`Simulation::set_cloth_state`]).
     pub fn step(&mut self) -> Result<&Frame> {
         self.step_with(&Prescribed::default())
     }
@@ -270,8 +258,7 @@ impl Simulation {
     /// Computes the next frame as [`Simulation::step`] does, but for what `given` prescribes. Fails, too, if a length does not match or a
     /// number is not finite.
     pub fn step_with(&mut self, given: &Prescribed) -> Result<&Frame> {
-        let mut control = self.next_control()?;
-        let followed = self.followed()?;
+        let (mut control, followed) = self.next_control()?;
         let led = self.lead_bodies(given.bodies.as_deref(), &followed, &mut control)?;
         let (setups, n) = (&self.setups, self.particles());
         let check = |field: &str, given: &[[f64; 3]], expected: usize, of: &str| {

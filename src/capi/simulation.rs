@@ -201,8 +201,7 @@ pub unsafe extern "C" fn fnopt_bodies(
 ) -> usize {
     value(0, || {
         let bodies = simulation.map_or(Vec::new(), |of| of.simulation.bodies());
-        let numbers = bodies.iter().flat_map(|pose| pose.position_m.into_iter().chain(pose.rotation));
-        let numbers: Vec<f64> = numbers.collect();
+        let numbers: Vec<f64> = bodies.iter().flat_map(|&pose| <[f64; 7]>::from(pose)).collect();
         // SAFETY: the caller's.
         unsafe { list(&numbers, buffer, count) };
         bodies.len()
@@ -312,8 +311,7 @@ unsafe fn list<T: Copy>(list: &[T], buffer: *mut T, count: usize) -> usize {
 unsafe fn poses(argument: *const f64, count: usize) -> Option<Vec<BodyPose>> {
     // SAFETY: the caller's.
     let rows = unsafe { slice(argument.cast::<[f64; 7]>(), count) };
-    let pose = |&[x, y, z, i, j, k, w]: &[f64; 7]| BodyPose { position_m: [x, y, z], rotation: [i, j, k, w] };
-    rows.map(|rows| rows.iter().map(pose).collect())
+    rows.map(|rows| rows.iter().map(|&row| row.into()).collect())
 }
 
 /// Returns the points of an argument, `None` for NULL.

@@ -153,11 +153,9 @@ fn examine(name: String, open: impl FnOnce() -> fnopt::Result<Device>) -> Report
         // The network's step alone: a step that is checked against the energy would hide part of an error.
         let error = self_test(&device, &Optimizer::paper(weights.clone()))?;
         let mut times = Vec::new();
-        for (solver, optimizer) in
-            [("spectral", Optimizer::spectral()), ("fnopt", Optimizer::learned(weights))]
-        {
+        for optimizer in [Optimizer::spectral(), Optimizer::learned(weights)] {
             for grid in GRIDS {
-                times.push(time(&device, (solver, &optimizer), grid)?);
+                times.push(time(&device, &optimizer, grid)?);
             }
         }
         Ok((error, times))
@@ -195,11 +193,7 @@ fn fastest(reports: &[Report]) -> Vec<(&str, &Timing)> {
     GRIDS.into_iter().filter_map(least).collect()
 }
 
-fn time(
-    device: &Device,
-    (solver, optimizer): (&'static str, &Optimizer),
-    grid: usize,
-) -> fnopt::Result<Timing> {
+fn time(device: &Device, optimizer: &Optimizer, grid: usize) -> fnopt::Result<Timing> {
     let mut scene = Scene::default();
     scene.regrid(Grid::new(grid, grid, "doctor")?)?;
     let setup = scene.setup()?;
@@ -213,7 +207,7 @@ fn time(
         }
         ControlFlow::Continue(())
     })?;
-    Ok(Timing { solver, iterations, grid, ms_per_frame: median(&times) })
+    Ok(Timing { solver: optimizer.name(), iterations, grid, ms_per_frame: median(&times) })
 }
 
 /// The features and limits that matter to fnopt.

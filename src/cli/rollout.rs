@@ -264,11 +264,10 @@ impl Args {
         if let Some(fps) = self.fps.filter(|fps| !(fps.is_finite() && *fps > 0.0)) {
             return Err(Error::invalid("--fps", "value", "a number above 0", fps));
         }
-        if let Some((name, heeding)) = self.options(setup).unheeded(&self.format) {
-            let join = |all: &[Format], by: &str| all.iter().map(|f| f.name()).collect::<Vec<_>>().join(by);
-            let expected = format!("{}, which it is about", join(heeding, " or "));
+        if let Some((name, expected)) = self.options(setup).unheeded(&self.format) {
             let name = format!("--{}", name.replace('_', "-"));
-            return Err(Error::invalid(name, "--format", expected, join(&self.format, ",")));
+            let found = self.format.iter().map(|format| format.name()).collect::<Vec<_>>().join(",");
+            return Err(Error::invalid(name, "--format", expected, found));
         }
         let topology = setup.topology();
         let frames = (setup.frames() - 1) / self.every as usize + 1;

@@ -52,8 +52,8 @@ pub struct WriteOptions {
 }
 
 impl WriteOptions {
-    /// Returns the first option that is set, but that none of `formats` heeds, and the formats that do.
-    pub fn unheeded(&self, formats: &[Format]) -> Option<(&'static str, &'static [Format])> {
+    /// Returns the first option that is set, but that none of `formats` heeds, and in words which formats do.
+    pub fn unheeded(&self, formats: &[Format]) -> Option<(&'static str, String)> {
         use Format::{Npy, Npz, Obj, Pc2, Ply, Usda};
         let options: [(_, _, &[Format]); 3] = [
             ("half", self.half, &[Npz, Npy]),
@@ -61,7 +61,9 @@ impl WriteOptions {
             ("start_frame", self.start_frame > 0, &[Pc2, Usda, Obj, Ply]),
         ];
         let unheeded = |of: &&(_, bool, &[Format])| of.1 && !of.2.iter().any(|f| formats.contains(f));
-        options.iter().find(unheeded).map(|&(name, _, heeding)| (name, heeding))
+        let &(name, _, heeding) = options.iter().find(unheeded)?;
+        let names: Vec<_> = heeding.iter().map(|format| format.name()).collect();
+        Some((name, format!("{}, which it is about", names.join(" or "))))
     }
 }
 

@@ -134,14 +134,8 @@ impl PyRollout {
             }
             (None, Some(ending)) => (ending.parse()?, path.file_stem()),
         };
-        if let Some((option, heeding)) = options.unheeded(&[format]) {
-            let heeding = heeding.iter().map(|format| format.name()).collect::<Vec<_>>().join(" or ");
-            return Err(Error::invalid(
-                "Rollout.save",
-                option,
-                format!("{heeding}, which it is about"),
-                format,
-            ));
+        if let Some((option, expected)) = options.unheeded(&[format]) {
+            return Err(Error::invalid("Rollout.save", option, expected, format));
         }
         let name = name.unwrap_or_default().to_string_lossy();
         if name.is_empty() {

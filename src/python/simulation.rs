@@ -104,8 +104,7 @@ impl PySimulation {
         let array = |points: Option<Vec<[f64; 3]>>| {
             points.map(|points| Ok::<_, PyErr>(points_array(py, points)?.into_any().unbind())).transpose()
         };
-        let bodies =
-            control.bodies.map(|bodies| Ok::<_, PyErr>(rows(py, numbers(&bodies))?.into_any().unbind()));
+        let bodies = control.bodies.map(|poses| Ok::<_, PyErr>(poses_array(py, poses)?.into_any().unbind()));
         Ok(PyControl {
             handles: array(control.handles)?,
             wind: array(control.wind)?,
@@ -118,7 +117,7 @@ impl PySimulation {
     /// cloth 1, and so on.
     #[getter]
     fn bodies<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        rows(py, numbers(&self.simulation.bodies()))
+        poses_array(py, self.simulation.bodies())
     }
 
     /// Positions [m]. Each access makes a new array, which stays as it is.
@@ -297,20 +296,14 @@ impl PySimulation {
     }
 }
 
-/// Returns poses as positions and quaternions.
-fn numbers(poses: &[BodyPose]) -> Vec<[f64; 7]> {
-    let row = |pose: &BodyPose| {
-        let ([x, y, z], [i, j, k, w]) = (pose.position_m, pose.rotation);
-        [x, y, z, i, j, k, w]
-    };
-    poses.iter().map(row).collect()
+/// Returns poses as an array [bodies, 7].
+fn poses_array(py: Python<'_>, poses: Vec<BodyPose>) -> PyResult<Bound<'_, PyArray2<f64>>> {
+    rows(py, poses.into_iter().map(<[f64; 7]>::from).collect())
 }
 
 /// Takes poses from an array [bodies, 7].
 fn poses(array: &Bound<'_, PyAny>) -> PyResult<Vec<BodyPose>> {
-    let rows = take_rows::<7>(array, "bodies")?;
-    let pose = |&[x, y, z, i, j, k, w]: &[f64; 7]| BodyPose { position_m: [x, y, z], rotation: [i, j, k, w] };
-    Ok(rows.iter().map(pose).collect())
+    Ok(take_rows::<7>(array, "bodies")?.into_iter().map(BodyPose::from).collect())
 }
 
 /// Returns rows of numbers as an array.

@@ -103,11 +103,28 @@ impl Default for BodyPose {
 }
 
 impl BodyPose {
-    /// Returns the pose with a quaternion of length 1, or none if that is zero or not finite.
-    pub(crate) fn normalised(self) -> Option<Self> {
+    /// Returns the pose with a quaternion of length 1. Fails if that is zero or not finite; `origin` and `field` name it in the error.
+    pub(crate) fn normalised(self, origin: &str, field: String) -> Result<Self> {
         let rotation = DQuat::from_array(self.rotation);
-        (rotation.is_finite() && rotation.length() > 0.0)
-            .then(|| Self { rotation: rotation.normalize().to_array(), ..self })
+        if !(rotation.is_finite() && rotation.length() > 0.0) {
+            let found = format!("{:?}", self.rotation);
+            return Err(Error::invalid(origin, field, "a quaternion that is not zero", found));
+        }
+        Ok(Self { rotation: rotation.normalize().to_array(), ..self })
+    }
+}
+
+impl From<[f64; 7]> for BodyPose {
+    /// A position and a quaternion.
+    fn from([x, y, z, i, j, k, w]: [f64; 7]) -> Self {
+        Self { position_m: [x, y, z], rotation: [i, j, k, w] }
+    }
+}
+
+impl From<BodyPose> for [f64; 7] {
+    fn from(pose: BodyPose) -> Self {
+        let ([x, y, z], [i, j, k, w]) = (pose.position_m, pose.rotation);
+        [x, y, z, i, j, k, w]
     }
 }
 
@@ -434,12 +451,8 @@ fn read_poses(path: &Path) -> Result<Vec<BodyPose>> {
         if row.len() == 3 {
             return Ok(BodyPose { position_m, ..BodyPose::default() });
         }
-        let given = BodyPose { position_m, rotation: [row[3], row[4], row[5], row[6]] };
-        let found = format!("{:?}", given.rotation);
-        given.normalised().ok_or_else(|| {
-            let field = format!("rotation of frame {frame}");
-            Error::invalid(&origin, field, "a quaternion that is not zero", found)
-        })
+        let pose = BodyPose { position_m, rotation: [row[3], row[4], row[5], row[6]] };
+        pose.normalised(&origin, format!("rotation of frame {frame}"))
     };
     rows.rows().into_iter().enumerate().map(pose).collect()
 }

@@ -238,8 +238,9 @@ impl Solver {
     /// and accelerations keep their values. If the handles of any cloth change, all handles are held where they
     /// are, until a control moves them.
     ///
-    /// Fails, and changes nothing, if the number of cloths differs, if they are not valid ([`Model::check`]), or if one has a repulsion, touches itself, has angles at rest, or has
-    /// more bodies or larger meshes than any had, although the solver was built without room for them, which requires a new solver.
+    /// Fails, and changes nothing, if the number of cloths differs, if they are not valid ([`Model::check`]), if the device has too little
+    /// memory for more handles, or if one has a repulsion, touches itself, has angles at rest, or has more bodies or larger meshes than any
+    /// had, although the solver was built without room for them, which requires a new solver.
     pub fn set_cloths(&mut self, cloths: &[Cloth]) -> Result<()> {
         let model = self.model.with_cloths(cloths)?;
         if !self.objective.has_room_for_repulsion() {
@@ -263,9 +264,8 @@ impl Solver {
             return Err(Error::invalid("model", "bodies", expected, format!("{found} samples")));
         }
         self.make_room(&model)?;
-        let handles =
-            |model: &Model| model.cloths.iter().map(|cloth| cloth.handles.clone()).collect::<Vec<_>>();
-        let handles_differ = handles(&model) != handles(&self.model);
+        let mut each = model.cloths.iter().zip(&self.model.cloths);
+        let handles_differ = each.any(|(new, old)| new.handles != old.handles);
         if handles_differ {
             self.targets = self.objective.targets.view(0, &[model.handles(), 3]);
         }

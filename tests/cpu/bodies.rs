@@ -451,7 +451,7 @@ fn a_sheet_that_falls_on_a_ball_stays_outside() {
             let point = |p: u32| [0, 1, 2].map(|c| f64::from(state.x[c * n + p as usize]));
             let nearest = faces.iter().map(|face| {
                 let [a, b, c] = face.map(|p| DVec3::from(point(p)));
-                // Corners are looked at above; of a flat triangle nearly as large as an edge, the middle and the sides' are nearest.
+                // Its corners are outside, as asserted above: what is nearest to the centre is on its sides or inside.
                 let places = [(a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0, (a + b + c) / 3.0];
                 places
                     .map(|place| (place - centre).length() - radius)
